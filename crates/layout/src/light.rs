@@ -1,0 +1,53 @@
+//! Light sources.
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// The emitting triangles of one object with one material; Lambertian from the counter-clockwise side.
+pub const LIGHT_AREA: u32 = 0;
+/// A point that emits the same intensity everywhere.
+pub const LIGHT_POINT: u32 = 1;
+/// A point with intensity `I0 cos(theta)` about `axis` (CIE 171, 5.2's source).
+pub const LIGHT_POINT_LAMBERT: u32 = 2;
+
+/// One light; photons are counted per light.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct LightRecord {
+    /// `LIGHT_*`.
+    pub kind: u32,
+    /// Material of an area light, else [`crate::NONE`].
+    pub material: u32,
+    /// First of its [`EmitterRecord`]s (area lights).
+    pub first_emitter: u32,
+    /// Number of them.
+    pub emitter_count: u32,
+    /// Total radiant flux, W, linear Rec.709.
+    pub flux_w: [f32; 3],
+    /// Emitting area, m²; 0 for points.
+    pub area_m2: f32,
+    /// Position of a point; centre of an area light's box, m.
+    pub position: [f32; 3],
+    /// Half diagonal of an area light's box, m.
+    pub radius: f32,
+    /// Unit axis of a point, area-weighted mean normal of an area light (zero if it cancels).
+    pub axis: [f32; 3],
+    /// Zero.
+    pub reserved: u32,
+}
+const _: () = assert!(size_of::<LightRecord>() == 64);
+
+/// One emitting triangle.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct EmitterRecord {
+    /// Corners, m, counter-clockwise from the emitting side.
+    pub corners: [[f32; 3]; 3],
+    /// The triangle's global index.
+    pub triangle: u32,
+    /// Sum of the areas of this light's emitters up to and including this one, divided by the total:
+    /// the last one's is 1.
+    pub cumulative: f32,
+    /// Zero.
+    pub reserved: u32,
+}
+const _: () = assert!(size_of::<EmitterRecord>() == 48);

@@ -1,0 +1,44 @@
+//! Photons and rays in transit between tiles, 64 bytes, raw (paper 000, section 5.3).
+
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+/// The ray has met no diffuse surface yet.
+pub const TRANSIT_UNSCATTERED: u16 = 1;
+/// ... and met a mirror.
+pub const TRANSIT_MIRRORED: u16 = 2;
+/// A visibility probe from a light towards a portal: carries no flux, marks rooms.
+pub const TRANSIT_PROBE: u16 = 4;
+/// A camera ray: `light` is the pixel, `photon` the sample; flux is its throughput.
+pub const TRANSIT_CAMERA: u16 = 8;
+/// A shadow ray: `light` is the pixel, `photon` the bits of the `f32` distance at which the light sits;
+/// flux is the radiance that arrives if nothing is in the way.
+pub const TRANSIT_SHADOW: u16 = 16;
+
+/// One ray that waits at the tile of its `leaf`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct TransitRecord {
+    /// Where the ray started, m; never changed while it flies.
+    pub origin: [f32; 3],
+    /// Unit direction; never changed while it flies.
+    pub direction: [f32; 3],
+    /// Flux, W, linear Rec.709 (photons).
+    pub flux: [f32; 3],
+    /// Distance from which the ray is still to be traced, m: hits before it are known not to exist.
+    pub t: f32,
+    /// Leaf that it enters.
+    pub leaf: u32,
+    /// Light (photons).
+    pub light: u32,
+    /// Index among the light's photons.
+    pub photon: u32,
+    /// Surface interactions so far: the next random numbers' key.
+    pub bounce: u16,
+    /// `TRANSIT_*`.
+    pub flags: u16,
+    /// Global index of the triangle that it started on, never met again at once; [`crate::NONE`] if none.
+    pub last_triangle: u32,
+    /// Impacts stored so far (photons).
+    pub impacts: u32,
+}
+const _: () = assert!(size_of::<TransitRecord>() == 64);
