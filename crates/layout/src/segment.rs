@@ -103,6 +103,8 @@ pub enum ExtentKind {
     Film = 23,
     /// Room-to-room passages of photons in one epoch ([`crate::journal::PassageRecord`]).
     Passages = 24,
+    /// UTF-8 text, one `key = value` a line: the inputs and flags that a stage's results depend on.
+    Identity = 25,
 }
 
 impl ExtentKind {
@@ -134,6 +136,7 @@ impl ExtentKind {
             Ledger,
             Film,
             Passages,
+            Identity,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)
