@@ -1,0 +1,97 @@
+//! Where photons start. A start depends on (seed, light, index) alone.
+
+use enf_layout::NONE;
+use enf_layout::light::{
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LightRecord,
+};
+use glam::Vec3;
+
+use crate::rng::{self, Purpose};
+use crate::vector;
+
+/// How far a scattered or emitted ray starts above its surface, as a share of delta: more than the
+/// rounding of a point on a triangle, less than anything that is modelled (ARCHITECTURE.md, "Margins").
+pub const OFFSET_PER_DELTA: f32 = 0.25;
+
+/// A photon (or probe, or light sample) at its start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Start {
+    /// Point, already lifted off the surface, m.
+    pub origin: Vec3,
+    /// Unit direction.
+    pub direction: Vec3,
+    /// Global index of the emitting triangle, or [`NONE`].
+    pub triangle: u32,
+}
+
+/// A point on a light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightPoint {
+    /// Point on the surface, m.
+    pub position: Vec3,
+    /// Unit normal of the emitting side; the axis of a point light.
+    pub normal: Vec3,
+    /// Global index of the emitting triangle, or [`NONE`].
+    pub triangle: u32,
+}
+
+/// A uniform point on a light from three uniform numbers. `emitters` are this light's own.
+pub fn point_on(light: &LightRecord, emitters: &[EmitterRecord], u: [f32; 3]) -> LightPoint {
+    if light.kind != LIGHT_AREA || emitters.is_empty() {
+        return LightPoint {
+            position: Vec3::from(light.position),
+            normal: Vec3::from(light.axis),
+            triangle: NONE,
+        };
+    }
+    let index = emitters.partition_point(|e| e.cumulative <= u[0]).min(emitters.len() - 1);
+    let emitter = &emitters[index];
+    let [a, b, c] = emitter.corners.map(Vec3::from);
+    let (v, w) = vector::triangle(u[1], u[2]);
+    LightPoint {
+        position: a * (1.0 - v - w) + b * v + c * w,
+        normal: (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3(),
+        triangle: emitter.triangle,
+    }
+}
+
+/// The start of photon `photon` of light number `id`.
+pub fn start(
+    seed: u64,
+    id: u32,
+    light: &LightRecord,
+    emitters: &[EmitterRecord],
+    photon: u32,
+    delta: f32,
+) -> Start {
+    let u = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 0);
+    let v = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 1);
+    let point = point_on(light, emitters, [u[0], u[1], u[2]]);
+    match light.kind {
+        LIGHT_AREA => Start {
+            origin: point.position + point.normal * (delta * OFFSET_PER_DELTA),
+            direction: vector::cosine(point.normal, v[0], v[1]),
+            triangle: point.triangle,
+        },
+        LIGHT_POINT => Start {
+            origin: point.position,
+            direction: vector::sphere(v[0], v[1]),
+            triangle: NONE,
+        },
+        _ => Start {
+            origin: point.position,
+            direction: vector::cosine(point.normal, v[0], v[1]),
+            triangle: NONE,
+        },
+    }
+}
+
+/// Radiant intensity per flux of a point light towards unit direction `to` (1/sr): 1/4pi, or
+/// cos(theta)/pi about the axis.
+pub fn point_intensity(light: &LightRecord, to: Vec3) -> f32 {
+    if light.kind == LIGHT_POINT {
+        core::f32::consts::FRAC_1_PI * 0.25
+    } else {
+        Vec3::from(light.axis).dot(to).max(0.0) * core::f32::consts::FRAC_1_PI
+    }
+}

@@ -1,0 +1,145 @@
+//! A ray's flight through one resident tile: leaf by leaf, until it hits something or leaves the tile.
+
+use enf_geometry::{GridView, Hit, PreparedRay, Ray, TileMesh};
+use enf_layout::material::MaterialRecord;
+use enf_layout::transit::TransitRecord;
+use enf_rooms::Bsp;
+use glam::{DVec3, Vec3};
+
+use crate::emission::OFFSET_PER_DELTA;
+
+/// A tile in memory, and the tables that say where it lies.
+#[derive(Clone, Copy)]
+pub struct Resident<'a> {
+    /// This tile.
+    pub tile: u32,
+    /// Where everything lies.
+    pub bsp: &'a Bsp<'a>,
+    /// The tile's triangles.
+    pub mesh: &'a TileMesh<'a>,
+    /// The tile's grid.
+    pub grid: &'a GridView<'a>,
+    /// All materials of the scene.
+    pub materials: &'a [MaterialRecord],
+    /// The scene's tolerance, m.
+    pub delta: f32,
+}
+
+/// How a flight through the tile ended.
+#[derive(Clone, Copy, Debug)]
+pub enum Flight {
+    /// A surface was hit while the ray was in `leaf`.
+    Hit {
+        /// Where.
+        hit: Hit,
+        /// The leaf that the ray had reached.
+        leaf: u32,
+    },
+    /// The ray enters `leaf` of another tile at distance `t`.
+    Leaves {
+        /// Leaf of the other tile.
+        leaf: u32,
+        /// Distance at which it enters, m.
+        t: f32,
+    },
+    /// The ray left the scene's bound out of a leaf.
+    Escapes {
+        /// Its last leaf.
+        leaf: u32,
+    },
+}
+
+/// A point on a surface as later rays need it.
+#[derive(Clone, Copy, Debug)]
+pub struct Surface {
+    /// The point, m: on the triangle to rounding.
+    pub position: Vec3,
+    /// Unit geometric normal on the side that was hit.
+    pub normal: Vec3,
+    /// The counter-clockwise (front) side was hit.
+    pub front: bool,
+    /// `position` lifted off the surface by delta/4: rays start here, and the leaf that holds it says which
+    /// room the point belongs to.
+    pub origin: Vec3,
+    /// Global index of the triangle.
+    pub triangle: u32,
+    /// Its material.
+    pub material: u32,
+}
+
+/// Flies `record` from (`record.leaf`, `record.t`) on. `crossed(from, to)` is told of every change of leaf, the
+/// last one (out of the tile) included.
+///
+/// The nearest hit in the tile's triangles is asked for once; the walk then decides whether the ray gets that
+/// far inside this tile. Accepting hits up to `t_accept` (the leaf grown by delta) keeps a wall that lies in a
+/// splitting plane on this side of it; that never changes *which* hit is nearest (see `enf_rooms::walk`).
+pub fn fly(
+    tile: &Resident<'_>,
+    record: &TransitRecord,
+    prepared: &PreparedRay,
+    mut crossed: impl FnMut(u32, u32),
+) -> Flight {
+    let origin: DVec3 = Vec3::from(record.origin).as_dvec3();
+    let direction = Vec3::from(record.direction).as_dvec3();
+    let hit = tile.grid.nearest(
+        tile.mesh,
+        prepared,
+        record.t,
+        f32::INFINITY,
+        record.last_triangle,
+        tile.delta,
+    );
+    let reach = hit.map_or(f32::INFINITY, |h| h.t);
+    let (mut leaf, mut t) = (record.leaf, record.t);
+    loop {
+        let exit = tile.bsp.exit(leaf, origin, direction, t);
+        if let Some(hit) = hit
+            && reach < exit.t_accept
+        {
+            return Flight::Hit { hit, leaf };
+        }
+        if exit.t_exit == f32::INFINITY {
+            return Flight::Escapes { leaf };
+        }
+        t = exit.t_exit;
+        let Some(next) = tile.bsp.cross(exit.face, origin, direction, t) else {
+            return Flight::Escapes { leaf };
+        };
+        crossed(leaf, next);
+        leaf = next;
+        if tile.bsp.leaves[leaf as usize].tile != tile.tile {
+            return Flight::Leaves { leaf, t };
+        }
+    }
+}
+
+/// The ray of a record, prepared for intersection.
+pub fn prepare(record: &TransitRecord) -> PreparedRay {
+    PreparedRay::new(&Ray {
+        origin: Vec3::from(record.origin),
+        direction: Vec3::from(record.direction),
+    })
+}
+
+/// The surface at a hit. It depends on the ray and the triangle alone.
+pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
+    let [a, b, c] = tile.mesh.corners(hit.triangle).map(|p| p.as_dvec3());
+    let (u, v) = (f64::from(hit.u), f64::from(hit.v));
+    let position = (a * (1.0 - u - v) + b * u + c * v).as_vec3();
+    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let front = normal.dot(direction.as_dvec3()) < 0.0;
+    let normal = (if front { normal } else { -normal }).as_vec3();
+    Surface {
+        position,
+        normal,
+        front,
+        origin: position + normal * (tile.delta * OFFSET_PER_DELTA),
+        triangle: hit.global,
+        material: tile.mesh.materials[hit.triangle as usize],
+    }
+}
+
+/// The next representable distance: where a ray goes on behind a pane at `t`.
+pub fn just_after(t: f32) -> f32 {
+    t.next_up()
+}

@@ -1,0 +1,154 @@
+//! Photon tracing in one tile (the paper, section 4.2): a photon flies, is stored where it lands, scatters,
+//! and is parked when it leaves the tile.
+
+use enf_layout::octahedral;
+use enf_layout::photon::{
+    PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord,
+};
+use enf_layout::rgbe;
+use enf_layout::transit::{
+    TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord,
+};
+use glam::Vec3;
+
+use crate::flight::{self, Flight, Resident};
+use crate::rng::{self, Purpose};
+use crate::scatter::{self, Event};
+
+/// Receives what photons do (the *deposit* and *cross* seams).
+pub trait Sink {
+    /// An impact in `room`.
+    fn impact(&mut self, room: u32, photon: PhotonRecord);
+    /// The photon waits at another tile.
+    fn park(&mut self, tile: u32, record: TransitRecord);
+    /// A change of room in mid-flight.
+    fn passage(&mut self, from: u32, to: u32, record: &TransitRecord);
+    /// Flux lost at an interaction in `room` (W; negative when a survivor was re-weighted upwards).
+    fn absorb(&mut self, room: u32, flux: Vec3);
+    /// The path ended on a surface of `room` after `impacts` impacts.
+    fn ended(&mut self, room: u32, impacts: u32);
+    /// The path left the scene from `room`.
+    fn escaped(&mut self, room: u32, impacts: u32, flux: Vec3);
+    /// A visibility probe of `light` ended on a surface of `room`.
+    fn probed(&mut self, light: u32, room: u32);
+}
+
+/// Traces one photon or probe until it ends or leaves the tile.
+pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &mut impl Sink) {
+    let leaves = tile.bsp.leaves;
+    let room_of = |leaf: u32| leaves[leaf as usize].room;
+    let probe = record.flags & TRANSIT_PROBE != 0;
+    let mut prepared = flight::prepare(&record);
+    loop {
+        let end = flight::fly(tile, &record, &prepared, |from, to| {
+            let (from, to) = (room_of(from), room_of(to));
+            if from != to && !probe {
+                sink.passage(from, to, &record);
+            }
+        });
+        let hit = match end {
+            Flight::Leaves { leaf, t } => {
+                record.leaf = leaf;
+                record.t = t;
+                return sink.park(leaves[leaf as usize].tile, record);
+            }
+            Flight::Escapes { leaf } => {
+                if !probe {
+                    sink.escaped(room_of(leaf), record.impacts, Vec3::from(record.flux));
+                }
+                return;
+            }
+            Flight::Hit { hit, leaf } => {
+                record.leaf = leaf;
+                hit
+            }
+        };
+
+        let direction = Vec3::from(record.direction);
+        let surface = flight::surface(tile, &hit, direction);
+        let material = &tile.materials[surface.material as usize];
+        let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+        if probe {
+            // Probes see through panes and end at anything else, in a room that sees the light.
+            if lobes.transmitted.max_element() <= 0.0 {
+                let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
+                return sink.probed(record.light, room);
+            }
+            record.t = flight::just_after(hit.t);
+            record.last_triangle = hit.global;
+            continue;
+        }
+
+        let flux = Vec3::from(record.flux);
+        let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
+        if scatter::stores_impacts(material) {
+            sink.impact(room, stored(seed, &record, &surface, flux));
+            record.impacts = record.impacts.saturating_add(1);
+        }
+        let u = rng::uniforms(
+            seed,
+            Purpose::Scatter,
+            record.light,
+            record.photon,
+            record.bounce,
+            0,
+        );
+        let (event, after) =
+            scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
+        sink.absorb(room, flux - after);
+        record.flux = after.to_array();
+        record.bounce = record.bounce.wrapping_add(1);
+        record.last_triangle = hit.global;
+        match event {
+            Event::Absorbed => return sink.ended(room, record.impacts),
+            Event::Transmitted => {
+                // The same ray goes on: origin, direction and leaf stay, t moves.
+                record.t = flight::just_after(hit.t);
+                continue;
+            }
+            Event::Diffuse(new) => {
+                record.flags &= !(TRANSIT_UNSCATTERED | TRANSIT_MIRRORED);
+                record.direction = new.to_array();
+            }
+            Event::Mirror(new) => {
+                record.flags |= TRANSIT_MIRRORED;
+                record.direction = new.to_array();
+            }
+        }
+        record.origin = surface.origin.to_array();
+        record.t = 0.0;
+        let direction = Vec3::from(record.direction);
+        record.leaf = tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+        let next = leaves[record.leaf as usize].tile;
+        if next != tile.tile {
+            return sink.park(next, record);
+        }
+        prepared = flight::prepare(&record);
+    }
+}
+
+fn stored(
+    seed: u64,
+    record: &TransitRecord,
+    surface: &flight::Surface,
+    flux: Vec3,
+) -> PhotonRecord {
+    let dither =
+        rng::uniforms(seed, Purpose::Dither, record.light, record.photon, record.bounce, 0);
+    let mut flags = 0;
+    if record.flags & TRANSIT_UNSCATTERED != 0 {
+        flags |= if record.flags & TRANSIT_MIRRORED == 0 { PHOTON_DIRECT } else { PHOTON_CAUSTIC };
+    }
+    if !surface.front {
+        flags |= PHOTON_BACK_SIDE;
+    }
+    PhotonRecord {
+        position_bits: surface.position.to_array().map(f32::to_bits),
+        flux: rgbe::encode(flux.to_array(), [dither[0], dither[1], dither[2]]),
+        directions: PhotonRecord::pack_directions(
+            octahedral::encode(record.direction),
+            octahedral::encode(surface.normal.to_array()),
+        ),
+        flags,
+    }
+}
