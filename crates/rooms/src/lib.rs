@@ -1,1 +1,95 @@
+//! Rooms of a building.
+//!
+//! A BSP of the space along the walls gives convex leaves; leaves that see each other through large
+//! openings are one room; what is left of a leaf's face when the walls in its plane are taken away
+//! is a portal. [`partition`] does all that, [`Partition::cut_tiles`] cuts big rooms into what fits
+//! in memory, [`Partition::finish`] writes the tables of a store, and [`Bsp`] walks a ray through
+//! them, leaf by leaf.
+#![forbid(unsafe_code)]
 
+mod error;
+mod walk;
+
+pub use error::RoomsError;
+pub use walk::{Bsp, Exit, Malformed};
+
+use enf_layout::bsp::{FaceRecord, LeafRecord, NodeRecord, PlaneRecord};
+use enf_layout::room::{PortalPieceRecord, PortalRecord, RoomRecord, TileRecord};
+
+/// How many rooms are wanted (the outside not counted).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RoomCount {
+    /// As many as the walls make.
+    #[default]
+    Auto,
+    /// So many, by merging the largest openings or by virtual walls; 1 puts everything, the outside
+    /// included, in one room.
+    Exactly(u32),
+}
+
+/// A box that the user calls a room.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hint {
+    /// Lower corner, m.
+    pub min: [f32; 3],
+    /// Upper corner, m.
+    pub max: [f32; 3],
+}
+
+/// What [`partition`] needs to know besides the triangles.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The scene's tolerance δ, m.
+    pub delta: f32,
+    /// Lower corner of the scene's bounds, m. The root box is the bounds, grown by the larger of 1 m
+    /// and 2 % of its diagonal.
+    pub bounds_min: [f32; 3],
+    /// Upper corner.
+    pub bounds_max: [f32; 3],
+    /// How many rooms.
+    pub rooms: RoomCount,
+    /// Boxes that are rooms; may be empty.
+    pub hints: Vec<Hint>,
+}
+
+/// How far rooms are cut into tiles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum TileLimit {
+    /// Until no tile stores more triangles than this.
+    Triangles(u64),
+    /// By random oblique planes through the contents, until there are so many tiles (for tests: the
+    /// results must not change).
+    Random {
+        /// Tiles wanted in the whole scene.
+        tiles: u32,
+        /// Which planes.
+        seed: u64,
+    },
+}
+
+/// The tables of a partition, as a store holds them.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Tables {
+    /// Planes.
+    pub planes: Vec<PlaneRecord>,
+    /// Inner nodes of the BSP.
+    pub nodes: Vec<NodeRecord>,
+    /// Its leaves.
+    pub leaves: Vec<LeafRecord>,
+    /// Their faces.
+    pub faces: Vec<FaceRecord>,
+    /// Rooms: by height of their floor, then x, then y; the outside last.
+    pub rooms: Vec<RoomRecord>,
+    /// Portals, sorted by (room, other).
+    pub portals: Vec<PortalRecord>,
+    /// Their convex pieces.
+    pub pieces: Vec<PortalPieceRecord>,
+    /// Tiles, sorted by room. `mesh_bytes`, `first_light` and `light_count` are left zero.
+    pub tiles: Vec<TileRecord>,
+    /// Where each tile's triangles start in `tile_triangles`; one entry more than tiles.
+    pub tile_offsets: Vec<u64>,
+    /// Indices of the triangles of each tile, ascending.
+    pub tile_triangles: Vec<u32>,
+    /// The outside's room id.
+    pub outside: Option<u32>,
+}
