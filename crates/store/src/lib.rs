@@ -1,1 +1,28 @@
+//! The store: one directory, `NAME.enf/`, that hands out slices of bytes and never sees a ray.
+//!
+//! | question | module |
+//! |---|---|
+//! | May I have this memory? | [`budget`] |
+//! | What stages are in this directory, and how far are they? | [`dir`] |
+//! | What was a stage made from? | [`identity`] |
+//! | How do I write extents so that a kill loses nothing that was committed? | [`writer`] |
+//! | How do I read, map and check what was written? | [`reader`] |
+//! | What went wrong, where, and what helps? | [`error`] |
+//!
+//! A stage of one process is three files: `trace.000.000.dat` holds extents, `trace.000.journal`
+//! makes them visible, `trace.seal` makes them immutable. Bytes mean nothing until the journal names
+//! them, and a journal record counts only once a commit record follows it.
 
+pub mod budget;
+pub mod dir;
+pub mod error;
+pub mod identity;
+pub mod reader;
+pub mod writer;
+
+pub use budget::{Array, ArrayFull, BudgetError, Buffer, MemoryBudget, Reservation, format_bytes};
+pub use dir::{IoCounters, StageState, StoreDir};
+pub use error::StoreError;
+pub use identity::Identity;
+pub use reader::{Mapped, StageReader, Verified, verify};
+pub use writer::{Encoded, Extent, StageWriter, encode};
