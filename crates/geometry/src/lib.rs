@@ -1,1 +1,32 @@
+//! Rays against triangles, and the uniform grid that keeps most of them apart.
+//!
+//! Nearly all of a run's time is spent here, so the crate has one idea and sticks to it: *a hit is a
+//! fact about one ray and one triangle*. [`intersect`] answers from the ray, the three corners and
+//! the scene's tolerance alone: the same bits whichever tile asks, whichever structure found the
+//! triangle. On top of that, [`GridView::nearest`] may be as clever as it likes: it has to return
+//! what testing every triangle would have returned, and the tests hold it to that.
+//!
+//! | module | question |
+//! |---|---|
+//! | [`ray`] | where does this ray meet this triangle? |
+//! | [`mesh`] | what is in a tile? |
+//! | [`grid`] | which triangles are worth asking about? |
+//! | [`aabb`] | boxes |
+//!
+//! Everything is slices in, slices out: no paths, no I/O, no `unsafe`, no fused multiply-add, no
+//! system libm. Metres throughout; `delta` is the scene's tolerance, `2^-19` of a power of two that is
+//! not less than any coordinate nor the diagonal of the scene.
+#![forbid(unsafe_code)]
 
+pub mod aabb;
+pub mod grid;
+pub mod mesh;
+pub mod ray;
+
+pub use aabb::Aabb;
+pub use enf_layout::{NONE, sections::Malformed};
+pub use grid::{
+    GridHeader, GridView, build_grid, grid_build_bytes, grid_bytes_estimate, nearest_by_force,
+};
+pub use mesh::TileMesh;
+pub use ray::{Hit, PreparedRay, Ray, intersect};

@@ -1,0 +1,333 @@
+//! Choosing the cells, and putting triangles into them.
+
+use enf_layout::sections::{self, Transform};
+use glam::DVec3;
+use zerocopy::{FromBytes, IntoBytes};
+
+use super::{BRICK, BrickRecord, GridHeader, MAX_BRICKS};
+use crate::mesh::TileMesh;
+
+/// Bytes that a grid may take for its table and header and a few bricks.
+const FIXED_BYTES: u64 = 4096;
+/// Bytes that it may take per triangle.
+const BYTES_PER_TRIANGLE: u64 = 64;
+/// What one triangle test costs, in cell steps. Measured.
+const TEST_COST: f64 = 2.5;
+/// Cells are at least this many tolerances wide, so that inflating them hardly matters.
+const MIN_CELL_DELTAS: f64 = 64.0;
+/// Most cells along an axis.
+const MAX_RESOLUTION: f64 = 4096.0;
+/// Rounding allowance of the overlap test, in cells.
+const SLACK: f64 = 1.0 / (1u64 << 30) as f64;
+
+/// Bytes that [`build_grid`] never exceeds for a mesh of so many triangles: lowering the resolution
+/// keeps it below. Most grids take about half.
+pub fn grid_bytes_estimate(triangles: u64) -> u64 {
+    FIXED_BYTES.saturating_add(triangles.saturating_mul(BYTES_PER_TRIANGLE))
+}
+
+/// Bytes that [`build_grid`] holds at its peak, its result included.
+pub fn grid_build_bytes(triangles: u64) -> u64 {
+    grid_bytes_estimate(triangles).saturating_mul(5) / 2
+}
+
+/// Builds the grid of a mesh: a [`sections`] blob for [`super::GridView`]. The bytes depend on the
+/// mesh and `delta` (m) alone.
+pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
+    let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
+    let limit = grid_bytes_estimate(mesh.triangles.len() as u64);
+    let plan = Plan::new(mesh, delta);
+    let mut cell = plan.best_cell(limit);
+    loop {
+        let lattice = plan.lattice(cell);
+        if let Some(blob) = fill(mesh, &plan, &lattice, limit) {
+            return blob;
+        }
+        // The forecast is an expectation; this mesh was unlucky.
+        cell *= 1.25;
+    }
+}
+
+/// What the mesh looks like from far away.
+struct Plan {
+    delta: f32,
+    min: [f32; 3],
+    max: [f32; 3],
+    extent: [f64; 3],
+    triangles: f64,
+    /// Sum over triangles of their boxes' three edges, m.
+    edges: f64,
+    /// Sum over triangles of the areas of their three axis projections, m².
+    areas: f64,
+}
+
+/// Where the cells are.
+struct Lattice {
+    cell: f32,
+    bricks: [u32; 3],
+}
+
+impl Plan {
+    fn new(mesh: &TileMesh, delta: f32) -> Self {
+        let bounds = mesh.bounds();
+        let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
+        if !mesh.is_empty() {
+            let margin = 4.0 * f64::from(delta);
+            let out = |x: f64| x.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32;
+            let clamp = |x: f32| x.clamp(f32::MIN, f32::MAX);
+            min = bounds.min.to_array().map(|x| clamp(out(f64::from(x) - margin).next_down()));
+            max = bounds.max.to_array().map(|x| clamp(out(f64::from(x) + margin).next_up()));
+        }
+        let extent = std::array::from_fn(|i| f64::from(max[i]) - f64::from(min[i]));
+        let (mut edges, mut areas) = (0.0, 0.0);
+        for i in 0..mesh.len() {
+            let [a, b, c] = mesh.corners(i).map(|p| p.as_dvec3());
+            edges += (a.max(b).max(c) - a.min(b).min(c)).element_sum();
+            areas += 0.5 * (b - a).cross(c - a).abs().element_sum();
+        }
+        Self { delta, min, max, extent, triangles: mesh.len().into(), edges, areas }
+    }
+
+    /// The smallest lattice of such cells that covers the box.
+    fn lattice(&self, cell: f64) -> Lattice {
+        // Rounded up, so that the count below does cover.
+        let cell = (cell.min(f64::from(f32::MAX)) as f32).next_up().min(f32::MAX);
+        let brick = f64::from(cell) * f64::from(BRICK);
+        // One more in a million, as the sum min + n * brick is rounded as well.
+        let bricks = self.extent.map(|e| (e / brick * (1.0 + 1e-6)).ceil().max(1.0) as u32);
+        Lattice { cell, bricks }
+    }
+
+    /// References that cells of this size will hold. A triangle with a random offset touches
+    /// `volume(triangle + cube) / volume(cube)` cells, a Minkowski sum that has three terms.
+    fn references(&self, cell: f64) -> f64 {
+        let wide = cell + 8.0 * f64::from(self.delta);
+        (self.triangles * wide * wide * wide + self.edges * wide * wide + self.areas * wide)
+            / (cell * cell * cell)
+    }
+
+    /// The cell with the lowest expected cost per metre of ray, among those whose grid fits in
+    /// `limit` bytes: a step per cell and a test per reference, both seen without occlusion.
+    fn best_cell(&self, limit: u64) -> f64 {
+        let longest = self.extent.iter().copied().fold(0.0, f64::max);
+        if longest <= 0.0 {
+            return 1.0;
+        }
+        let smallest = (MIN_CELL_DELTAS * f64::from(self.delta)).max(longest / MAX_RESOLUTION);
+        let mut best = (f64::INFINITY, longest);
+        let mut cell = longest;
+        while cell >= smallest {
+            let counts = self.extent.map(|e| (e / cell).ceil().max(1.0));
+            let cells = counts[0] * counts[1] * counts[2];
+            let bricks = counts.iter().map(|&c| (c / f64::from(BRICK)).ceil()).product::<f64>();
+            let references = self.references(cell);
+            let bytes = 512.0 + 12.0 * bricks + 4.0 * references + 4.0 * references.min(cells);
+            let cost = (1.0 + TEST_COST * references / cells) / cell;
+            if bricks <= MAX_BRICKS as f64 && bytes <= limit as f64 && cost < best.0 {
+                best = (cost, cell);
+            }
+            cell *= 0.917;
+        }
+        best.1
+    }
+}
+
+/// The blob, unless it would be larger than `limit`.
+fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<Vec<u8>> {
+    let Lattice { cell, bricks: [nx, ny, nz] } = *lattice;
+    let brick_count = [nx, ny, nz].iter().map(|&n| u64::from(n)).product::<u64>();
+    let room = limit.saturating_sub(512 + 12 * brick_count) / 4;
+    if brick_count > MAX_BRICKS {
+        return None;
+    }
+    let mut bricks = vec![0u64; brick_count as usize];
+
+    // Cells touched by each triangle, as brick * 64 + bit.
+    let expected = plan.references(f64::from(cell)) * 1.05;
+    let mut keys: Vec<u32> = Vec::with_capacity((expected as u64).min(room) as usize);
+    let mut ends: Vec<u32> = Vec::with_capacity(mesh.triangles.len());
+    let raster = Raster {
+        min: DVec3::from_array(plan.min.map(f64::from)),
+        cell: f64::from(cell),
+        margin: 4.0 * f64::from(plan.delta) / f64::from(cell) + SLACK,
+        counts: [nx * BRICK, ny * BRICK, nz * BRICK],
+    };
+    for i in 0..mesh.len() {
+        raster.cells(mesh.corners(i).map(|p| p.as_dvec3()), |x, y, z| {
+            let brick = (z / BRICK * ny + y / BRICK) * nx + x / BRICK;
+            let bit = x % BRICK + BRICK * (y % BRICK) + BRICK * BRICK * (z % BRICK);
+            bricks[brick as usize] |= 1 << bit;
+            keys.push(brick * 64 + bit);
+        });
+        if keys.len() as u64 > room {
+            return None;
+        }
+        ends.push(keys.len() as u32);
+    }
+
+    let mut cells = 0;
+    let records: Vec<BrickRecord> = bricks
+        .iter()
+        .map(|&mask| {
+            let first = cells;
+            cells += mask.count_ones();
+            BrickRecord { mask: [mask as u32, (mask >> 32) as u32], first }
+        })
+        .collect();
+    drop(bricks);
+    let header = GridHeader {
+        min: plan.min,
+        max: plan.max,
+        cell,
+        delta: plan.delta,
+        bricks: [nx, ny, nz],
+        triangles: mesh.len(),
+        cells,
+        references: keys.len() as u32,
+    };
+
+    let lengths = [
+        size_of::<GridHeader>(),
+        size_of_val(&records[..]),
+        4 * (cells as usize + 1),
+        4 * keys.len(),
+    ];
+    let bytes = sections::blob_bytes(&lengths);
+    if bytes as u64 > limit {
+        return None;
+    }
+    let mut blob = vec![0; bytes];
+    let ranges = sections::write_table(
+        &mut blob,
+        &[
+            (lengths[0], Transform::None, 0),
+            (lengths[1], Transform::Xor, 3),
+            (lengths[2], Transform::Delta, 1),
+            (lengths[3], Transform::Delta, 1),
+        ],
+    );
+    blob[ranges[0].clone()].copy_from_slice(header.as_bytes());
+    blob[ranges[1].clone()].copy_from_slice(records.as_bytes());
+    let (head, tail) = blob.split_at_mut(ranges[3].start);
+    let starts = <[u32]>::mut_from_bytes(&mut head[ranges[2].clone()]).ok()?;
+    let references = <[u32]>::mut_from_bytes(&mut tail[..lengths[3]]).ok()?;
+
+    // Counting sort: ends first, then filled from the back, which leaves the beginnings.
+    let ordinal = |key: u32| {
+        let record = records[(key / 64) as usize];
+        (record.first + (record.mask() & ((1 << (key % 64)) - 1)).count_ones()) as usize
+    };
+    for key in &mut keys {
+        *key = ordinal(*key) as u32;
+        starts[*key as usize] += 1;
+    }
+    let mut total = 0;
+    for start in starts.iter_mut() {
+        total += *start;
+        *start = total;
+    }
+    for triangle in (0..mesh.triangles.len()).rev() {
+        let begin = if triangle > 0 { ends[triangle - 1] as usize } else { 0 };
+        for &key in &keys[begin..ends[triangle] as usize] {
+            starts[key as usize] -= 1;
+            references[starts[key as usize] as usize] = triangle as u32;
+        }
+    }
+    Some(blob)
+}
+
+/// Conservative rasterisation: the separating-axis test of a triangle against inflated cells (Schwarz and
+/// Seidel 2010, Fast Parallel Surface and Solid Voxelization), solved for `x` along each row.
+struct Raster {
+    min: DVec3,
+    cell: f64,
+    /// How far cells are inflated, in cells.
+    margin: f64,
+    counts: [u32; 3],
+}
+
+/// `x * gain + offset >= 0` for the lower corner `x` of a cell, in two other coordinates.
+#[derive(Clone, Copy)]
+struct HalfPlane {
+    a: f64,
+    b: f64,
+    offset: f64,
+}
+
+impl Raster {
+    /// Calls `visit(x, y, z)` once for each cell that, inflated, touches the triangle.
+    fn cells(&self, corners: [DVec3; 3], mut visit: impl FnMut(u32, u32, u32)) {
+        let p = corners.map(|c| (c - self.min) / self.cell);
+        let low = p[0].min(p[1]).min(p[2]).to_array();
+        let high = p[0].max(p[1]).max(p[2]).to_array();
+        let first: [u32; 3] = std::array::from_fn(|i| self.clamp(low[i] - self.margin, i));
+        let last: [u32; 3] = std::array::from_fn(|i| self.clamp(high[i] + self.margin, i));
+        if first == last {
+            return visit(first[0], first[1], first[2]);
+        }
+        let edges = [p[1] - p[0], p[2] - p[1], p[0] - p[2]];
+        let normal = edges[0].cross(edges[1]);
+
+        // For each pair of axes: the three edges' inner half-planes, moved out to the cells' lower
+        // corners.
+        let side = 1.0 + 2.0 * self.margin;
+        let planes = |i: usize, j: usize, facing: f64| -> [HalfPlane; 3] {
+            let sign = if facing < 0.0 { -1.0 } else { 1.0 };
+            std::array::from_fn(|k| {
+                let (a, b) = (-sign * edges[k][j], sign * edges[k][i]);
+                let at = a * (p[k][i] + self.margin) + b * (p[k][j] + self.margin);
+                HalfPlane { a, b, offset: side * (a.max(0.0) + b.max(0.0)) - at }
+            })
+        };
+        let xy = planes(0, 1, normal.z);
+        let yz = planes(1, 2, normal.x);
+        let zx = planes(2, 0, normal.y);
+
+        // The triangle's own plane, with what rounding may have done to the normal of a needle.
+        let reach = edges[0].abs().max(edges[1].abs()).max(edges[2].abs()).max_element();
+        let noise = reach * reach * reach / (1u64 << 46) as f64;
+        let base = normal.dot(p[0]) + self.margin * normal.element_sum();
+        let far = side * normal.max(DVec3::ZERO).element_sum() - base + noise;
+        let near = side * normal.min(DVec3::ZERO).element_sum() - base - noise;
+
+        for z in first[2]..=last[2] {
+            let fz = f64::from(z);
+            for y in first[1]..=last[1] {
+                let fy = f64::from(y);
+                if yz.iter().any(|h| h.a * fy + h.b * fz + h.offset < 0.0) {
+                    continue;
+                }
+                let (mut from, mut to) = (f64::from(first[0]), f64::from(last[0]));
+                // Keeps the x with gain * x + rest >= 0.
+                let mut keep = |gain: f64, rest: f64| {
+                    if gain > 0.0 {
+                        from = from.max(-rest / gain);
+                    } else if gain < 0.0 {
+                        to = to.min(-rest / gain);
+                    } else if rest < 0.0 {
+                        to = f64::NEG_INFINITY;
+                    }
+                };
+                for h in xy {
+                    keep(h.a, h.b * fy + h.offset);
+                }
+                for h in zx {
+                    keep(h.b, h.a * fz + h.offset);
+                }
+                let across = normal.y * fy + normal.z * fz;
+                keep(normal.x, across + far);
+                keep(-normal.x, -(across + near));
+                if from <= to {
+                    for x in from.ceil() as u32..=to as u32 {
+                        visit(x, y, z);
+                    }
+                }
+            }
+        }
+    }
+
+    fn clamp(&self, x: f64, axis: usize) -> u32 {
+        // The cast saturates.
+        (x as u32).min(self.counts[axis] - 1)
+    }
+}

@@ -1,0 +1,164 @@
+//! The uniform grid of a tile (Fradin et al. 2005, section 4; Cleary and Wyvill 1988), kept in bricks.
+//!
+//! Rooms are mostly air, so the grid is fine and sparse: a *brick* is a 64-bit mask of its 4 x 4 x 4 cells,
+//! and only cells with a bit own a list of triangles. An empty brick costs twelve bytes and one step.
+//!
+//! A grid is a [`sections`] blob that is used in place, wherever it was loaded:
+//!
+//! | section | element | meaning |
+//! |---|---|---|
+//! | 0 | [`GridHeader`] | one |
+//! | 1 | [`BrickRecord`] | bricks, x fastest, then y, then z |
+//! | 2 | `u32` | first reference of each occupied cell (bricks in order, cells by bit), then the end |
+//! | 3 | `u32` | references: triangles of the tile, ascending in each cell |
+//!
+//! Why the nearest hit is the true one: a hit's point is within `delta` of its triangle; a cell lists
+//! every triangle that touches it when it is inflated by four `delta`; so a hit at `t` is listed in
+//! the cell where the ray is at `t`, with three `delta` to spare for rounding. The walk may stop
+//! when the best hit lies before the end of the cell, and not a step earlier.
+
+mod build;
+mod walk;
+
+pub use build::{build_grid, grid_build_bytes, grid_bytes_estimate};
+pub use walk::nearest_by_force;
+
+use enf_layout::sections::{self, Malformed};
+use glam::Vec3;
+use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+
+use crate::aabb::Aabb;
+
+const SECTION_HEADER: usize = 0;
+const SECTION_BRICKS: usize = 1;
+const SECTION_STARTS: usize = 2;
+const SECTION_REFERENCES: usize = 3;
+
+/// Cells along an edge of a brick.
+pub(crate) const BRICK: u32 = 4;
+/// Most bricks of one grid.
+pub(crate) const MAX_BRICKS: u64 = 1 << 24;
+
+/// What a grid is made of.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct GridHeader {
+    /// Lower corner of cell (0, 0, 0), m: the mesh's box and four tolerances.
+    pub min: [f32; 3],
+    /// Upper corner of the mesh's box and four tolerances, m. The last bricks may reach beyond.
+    pub max: [f32; 3],
+    /// Edge of a cell, m.
+    pub cell: f32,
+    /// Tolerance that it was built for, m.
+    pub delta: f32,
+    /// Bricks along x, y and z.
+    pub bricks: [u32; 3],
+    /// Triangles of the mesh.
+    pub triangles: u32,
+    /// Cells with at least one triangle.
+    pub cells: u32,
+    /// References in all cells.
+    pub references: u32,
+}
+const _: () = assert!(size_of::<GridHeader>() == 56);
+
+/// 4 x 4 x 4 cells.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct BrickRecord {
+    /// Which cells have triangles: bit `x + 4 y + 16 z` of the 64, low word first.
+    pub mask: [u32; 2],
+    /// Number of occupied cells in the bricks before it.
+    pub first: u32,
+}
+const _: () = assert!(size_of::<BrickRecord>() == 12);
+
+impl BrickRecord {
+    #[inline(always)]
+    pub(crate) fn mask(self) -> u64 {
+        u64::from(self.mask[0]) | u64::from(self.mask[1]) << 32
+    }
+}
+
+/// A grid, borrowed from its blob.
+#[derive(Clone, Copy, Debug)]
+pub struct GridView<'a> {
+    header: &'a GridHeader,
+    bricks: &'a [BrickRecord],
+    starts: &'a [u32],
+    references: &'a [u32],
+}
+
+impl<'a> GridView<'a> {
+    /// Reads a blob (4-byte aligned) for a mesh of `triangle_count` triangles. Every index in it is
+    /// checked, so that a walk never leaves it.
+    pub fn from_blob(blob: &'a [u8], triangle_count: u32) -> Result<Self, Malformed> {
+        let headers: &[GridHeader] = sections::section(blob, SECTION_HEADER)?;
+        let [header] = headers else {
+            return Err(Malformed(format!("grid has {} headers", headers.len())));
+        };
+        let grid = Self {
+            header,
+            bricks: sections::section(blob, SECTION_BRICKS)?,
+            starts: sections::section(blob, SECTION_STARTS)?,
+            references: sections::section(blob, SECTION_REFERENCES)?,
+        };
+        grid.check(triangle_count).map_err(Malformed)?;
+        Ok(grid)
+    }
+
+    fn check(&self, triangle_count: u32) -> Result<(), String> {
+        let h = self.header;
+        if h.triangles != triangle_count {
+            return Err(format!("grid is for {} triangles, not {triangle_count}", h.triangles));
+        }
+        let sane = h.cell.is_finite()
+            && h.cell > 0.0
+            && h.delta >= 0.0
+            && (0..3).all(|i| {
+                let reach = f64::from(h.bricks[i]) * f64::from(BRICK) * f64::from(h.cell);
+                h.min[i].is_finite()
+                    && h.max[i].is_finite()
+                    && h.min[i] <= h.max[i]
+                    && f64::from(h.min[i]) + reach >= f64::from(h.max[i])
+            });
+        if !sane {
+            return Err(format!("grid geometry makes no sense: {h:?}"));
+        }
+        let bricks: u128 = h.bricks.iter().map(|&b| u128::from(b)).product();
+        if bricks == 0 || bricks > u128::from(MAX_BRICKS) || bricks != self.bricks.len() as u128 {
+            return Err(format!("grid has {} bricks for {:?}", self.bricks.len(), h.bricks));
+        }
+        let mut occupied = 0u32;
+        for (i, brick) in self.bricks.iter().enumerate() {
+            if brick.first != occupied {
+                return Err(format!("grid brick {i} starts at cell {}", brick.first));
+            }
+            occupied += brick.mask().count_ones();
+        }
+        if occupied != h.cells || self.starts.len() != occupied as usize + 1 {
+            return Err(format!("grid has {occupied} cells and {} lists", self.starts.len()));
+        }
+        if let Some(i) = self.starts.windows(2).position(|w| w[0] > w[1]) {
+            return Err(format!("grid cell {i} ends before it begins"));
+        }
+        let ends = (self.starts[0], self.starts[occupied as usize]);
+        if ends != (0, h.references) || h.references as usize != self.references.len() {
+            return Err(format!("grid has {} references", self.references.len()));
+        }
+        if let Some(i) = self.references.iter().position(|&r| r >= triangle_count) {
+            return Err(format!("grid reference {i} is to triangle {}", self.references[i]));
+        }
+        Ok(())
+    }
+
+    /// Cell size, resolution and counts.
+    pub fn header(&self) -> &'a GridHeader {
+        self.header
+    }
+
+    /// The mesh's box and four tolerances: outside, there is nothing to hit.
+    pub fn bounds(&self) -> Aabb {
+        Aabb { min: Vec3::from_array(self.header.min), max: Vec3::from_array(self.header.max) }
+    }
+}

@@ -1,0 +1,242 @@
+//! Walking a ray through the bricks and cells (Amanatides and Woo 1987).
+
+use super::{BRICK, GridView};
+use crate::mesh::TileMesh;
+use crate::ray::{Hit, PreparedRay, intersect_along};
+
+/// Triangles that were tested last, and need no second test.
+const MAILBOXES: usize = 8;
+
+/// Origins farther out than this many tolerances are beyond what the walk's arithmetic can vouch for.
+const FAR: f64 = (1u64 << 44) as f64;
+
+/// What a query asks for; narrows as hits are found.
+struct Query<'m> {
+    mesh: &'m TileMesh<'m>,
+    exclude: u32,
+    delta: f32,
+    t_min: f32,
+    best: Hit,
+    found: bool,
+}
+
+impl Query<'_> {
+    #[inline(always)]
+    fn test<const Z: usize>(&mut self, ray: &PreparedRay, triangle: u32) {
+        let corners = self.mesh.corner_arrays(triangle);
+        if let Some((t, u, v)) = intersect_along::<Z>(ray, &corners, self.delta) {
+            self.offer(triangle, t, u, v);
+        }
+    }
+
+    #[inline(never)]
+    fn offer(&mut self, triangle: u32, t: f32, u: f32, v: f32) {
+        let global = self.mesh.global[triangle as usize];
+        let nearer =
+            t < self.best.t || (self.found && t == self.best.t && global < self.best.global);
+        if nearer && t >= self.t_min && global != self.exclude {
+            self.best = Hit { t, triangle, global, u, v };
+            self.found = true;
+        }
+    }
+
+    fn answer(self) -> Option<Hit> {
+        self.found.then_some(self.best)
+    }
+}
+
+/// The nearest canonical hit with `t_min <= t < t_max` (m) on a triangle other than `exclude` (global index
+/// or [`crate::NONE`]), by testing them all; ties go to the smaller global index. What
+/// [`GridView::nearest`] must agree with, and what it does when it cannot be sure.
+pub fn nearest_by_force(
+    mesh: &TileMesh,
+    ray: &PreparedRay,
+    t_min: f32,
+    t_max: f32,
+    exclude: u32,
+    delta: f32,
+) -> Option<Hit> {
+    let mut query = Query::new(mesh, t_min, t_max, exclude, delta);
+    for triangle in 0..mesh.len() {
+        match ray.axis {
+            0 => query.test::<0>(ray, triangle),
+            1 => query.test::<1>(ray, triangle),
+            _ => query.test::<2>(ray, triangle),
+        }
+    }
+    query.answer()
+}
+
+impl<'m> Query<'m> {
+    fn new(mesh: &'m TileMesh<'m>, t_min: f32, t_max: f32, exclude: u32, delta: f32) -> Self {
+        let best = Hit { t: t_max, triangle: 0, global: 0, u: 0.0, v: 0.0 };
+        Self { mesh, exclude, delta, t_min, best, found: false }
+    }
+}
+
+impl GridView<'_> {
+    /// The canonical hit with the smallest `(t, global)` among those with `t_min <= t < t_max` (m) on
+    /// triangles other than `exclude` (global index, or [`crate::NONE`]).
+    ///
+    /// `mesh` and `delta` are those that the grid was built for. The result is exactly that of
+    /// [`super::nearest_by_force`], which also takes over for a foreign mesh, a larger `delta`, and origins
+    /// 16 million scenes away.
+    pub fn nearest(
+        &self,
+        mesh: &TileMesh,
+        ray: &PreparedRay,
+        t_min: f32,
+        t_max: f32,
+        exclude: u32,
+        delta: f32,
+    ) -> Option<Hit> {
+        if !ray.valid {
+            return None;
+        }
+        let query = Query::new(mesh, t_min, t_max, exclude, delta);
+        match ray.axis {
+            0 => self.walk::<0>(query, ray),
+            1 => self.walk::<1>(query, ray),
+            _ => self.walk::<2>(query, ray),
+        }
+    }
+
+    fn walk<const Z: usize>(&self, mut query: Query, ray: &PreparedRay) -> Option<Hit> {
+        let header = self.header;
+        let far = FAR * f64::from(header.delta);
+        if query.mesh.len() != header.triangles
+            || query.delta > header.delta
+            || ray.origin64.iter().any(|x| x.abs() > far)
+        {
+            let (mesh, t_max) = (query.mesh, query.best.t);
+            return nearest_by_force(mesh, ray, query.t_min, t_max, query.exclude, query.delta);
+        }
+
+        // Clip to the box. It has four tolerances of air, so rounding cannot cut off a hit.
+        let mut enter = f64::from(query.t_min);
+        let mut leave = f64::from(query.best.t);
+        let scale = 1.0 / f64::from(header.cell);
+        // Position at t, in cells: start + speed * t. Crossing of plane k: base + k * pace.
+        let (mut start, mut speed) = ([0.0; 3], [0.0; 3]);
+        let (mut base, mut pace) = ([f64::INFINITY; 3], [0.0; 3]);
+        for i in 0..3 {
+            let (o, d) = (ray.origin64[i], ray.direction64[i]);
+            let (low, high) = (f64::from(header.min[i]) - o, f64::from(header.max[i]) - o);
+            start[i] = -low * scale;
+            if d == 0.0 {
+                if low > 0.0 || high < 0.0 {
+                    return None;
+                }
+                continue;
+            }
+            let inverse = 1.0 / d;
+            let (near, far) = (low * inverse, high * inverse);
+            enter = enter.max(near.min(far));
+            leave = leave.min(near.max(far));
+            speed[i] = d * scale;
+            pace[i] = f64::from(header.cell) * inverse;
+            base[i] = near;
+        }
+        // NaN bounds end here too.
+        if !(enter <= leave) {
+            return None;
+        }
+
+        let [nx, ny, nz] = header.bricks.map(|n| n as i32);
+        let count = [nx, ny, nz];
+        // Index step per brick along each axis, the far plane's offset, and the cells' bit step.
+        let (mut step, mut ahead) = ([0i32; 3], [0.0; 3]);
+        for i in 0..3 {
+            step[i] = if ray.direction64[i] < 0.0 { -1 } else { 1 };
+            ahead[i] = if ray.direction64[i] < 0.0 { 0.0 } else { 1.0 };
+        }
+        let stride = [step[0], step[1] * nx, step[2] * nx * ny];
+        let edge = f64::from(BRICK);
+
+        let mut brick = [0i32; 3];
+        let mut brick_exit = [0.0; 3];
+        let mut brick_pace = [0.0; 3];
+        // Bricks that remain along each axis.
+        let mut ahead_bricks = [0i32; 3];
+        for i in 0..3 {
+            let at = (start[i] + speed[i] * enter) * (1.0 / edge);
+            brick[i] = (at as i32).clamp(0, count[i] - 1);
+            brick_exit[i] = base[i] + (f64::from(brick[i]) + ahead[i]) * edge * pace[i];
+            brick_pace[i] = (edge * pace[i]).abs();
+            ahead_bricks[i] = if step[i] < 0 { brick[i] } else { count[i] - 1 - brick[i] };
+        }
+        let mut index = ((brick[2] * ny + brick[1]) * nx + brick[0]) as usize;
+        let mut mailboxes = [u32::MAX; MAILBOXES];
+        let mut mail = 0;
+        loop {
+            let record = self.bricks[index];
+            let mask = record.mask();
+            if mask != 0 {
+                let mut left = [0i32; 3];
+                let mut exit = [0.0; 3];
+                let mut bit = 0i32;
+                for i in 0..3 {
+                    let corner = f64::from(brick[i]) * edge;
+                    let at = start[i] + speed[i] * enter - corner;
+                    let cell = (at as i32).clamp(0, BRICK as i32 - 1);
+                    exit[i] = base[i] + (corner + f64::from(cell) + ahead[i]) * pace[i];
+                    left[i] = if step[i] < 0 { cell } else { BRICK as i32 - 1 - cell };
+                    bit += cell << (2 * i);
+                }
+                loop {
+                    let axis = first_of(&exit);
+                    let end = exit[axis];
+                    if mask >> bit & 1 != 0 {
+                        let below = mask & ((1u64 << bit) - 1);
+                        let cell = (record.first + below.count_ones()) as usize;
+                        let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
+                        for &triangle in &self.references[range] {
+                            if mailboxes.contains(&triangle) {
+                                continue;
+                            }
+                            mailboxes[mail % MAILBOXES] = triangle;
+                            mail += 1;
+                            query.test::<Z>(ray, triangle);
+                        }
+                        if f64::from(query.best.t) < end {
+                            return query.answer();
+                        }
+                    }
+                    if end >= leave {
+                        return query.answer();
+                    }
+                    left[axis] -= 1;
+                    if left[axis] < 0 {
+                        break;
+                    }
+                    bit += step[axis] << (2 * axis);
+                    exit[axis] += pace[axis].abs();
+                }
+            }
+            let axis = first_of(&brick_exit);
+            enter = brick_exit[axis];
+            if enter >= leave || f64::from(query.best.t) < enter {
+                return query.answer();
+            }
+            ahead_bricks[axis] -= 1;
+            if ahead_bricks[axis] < 0 {
+                return query.answer();
+            }
+            brick[axis] += step[axis];
+            index = (index as i64 + i64::from(stride[axis])) as usize;
+            brick_exit[axis] += brick_pace[axis];
+        }
+    }
+}
+
+/// The axis with the smallest value; the first on ties.
+#[inline(always)]
+fn first_of(t: &[f64; 3]) -> usize {
+    if t[0] <= t[1] {
+        if t[0] <= t[2] { 0 } else { 2 }
+    } else if t[1] <= t[2] {
+        1
+    } else {
+        2
+    }
+}
