@@ -1,0 +1,363 @@
+//! Gathering, against brute force and against what can be worked out on paper.
+
+use std::f32::consts::PI;
+
+use enf_layout::octahedral;
+use enf_layout::photon::{PHOTON_AXIS_MASK, PHOTON_HALO, PhotonRecord};
+use glam::Vec3;
+use proptest::prelude::*;
+use zerocopy::IntoBytes;
+
+use super::tests_support::{Random, coarse_photon, door, impact, shuffled};
+use super::*;
+
+fn blob(photons: &[PhotonRecord], radius: f32) -> Vec<u8> {
+    let mut tree = photons.to_vec();
+    build_tree(&mut tree, &mut photons.to_vec(), 1);
+    let halo = photons.iter().filter(|p| p.flags & PHOTON_HALO != 0).count();
+    let blob = PhotonMap::build_blob(&tree, halo as u64, radius);
+    PhotonMap::from_blob(&blob).unwrap().check().unwrap();
+    blob
+}
+
+fn ask(blob: &[u8], point: Vec3, normal: Vec3, gather: &Gather, portals: &PortalSet) -> Irradiance {
+    let map = PhotonMap::from_blob(blob).unwrap();
+    map.irradiance(point, normal, gather, portals, &mut GatherScratch::new(4))
+}
+
+fn bits(e: &Irradiance) -> ([u32; 3], u32, u32) {
+    (e.rgb.map(f32::to_bits), e.photons, e.radius.to_bits())
+}
+
+/// Every photon tested, those that count sorted, the first k summed one by one in floating point.
+fn brute_force(
+    photons: &[PhotonRecord],
+    x: Vec3,
+    n: Vec3,
+    gather: &Gather,
+    portals: &PortalSet,
+) -> ([f64; 3], u32, f32) {
+    let floor = SLAB_FLOOR_M.min(SLAB_FLOOR_RADII * gather.radius);
+    let mut found: Vec<(u32, Vec<u8>, &PhotonRecord)> = Vec::new();
+    for p in photons {
+        let way = Vec3::from(p.position()) - x;
+        let d2 = way.length_squared();
+        let height = way.dot(n);
+        let counts = d2 <= gather.radius * gather.radius
+            && height * height <= (SLAB_SLOPE * SLAB_SLOPE * d2).max(floor * floor)
+            && Vec3::from(p.normal()).dot(n) > NORMAL_COSINE
+            && Vec3::from(p.direction()).dot(n) < 0.0
+            && (p.flags & PHOTON_HALO == 0 || portals.crosses(x, Vec3::from(p.position())));
+        if counts {
+            let mut stored = *p;
+            stored.flags &= !(PHOTON_HALO | PHOTON_AXIS_MASK);
+            found.push((d2.to_bits(), stored.as_bytes().to_vec(), p));
+        }
+    }
+    found.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+    let k = gather.photons as usize;
+    found.truncate(k);
+    if found.is_empty() {
+        return ([0.0; 3], 0, 0.0);
+    }
+    let number = found.len() as u32;
+    let (mut radius, smallest) = (gather.radius, SMALLEST_DISC_M.min(1e-3 * gather.radius));
+    if found.len() == k {
+        let farthest = f32::from_bits(found[k - 1].0).sqrt();
+        radius = farthest.max(smallest);
+        if farthest >= smallest {
+            found.pop();
+        }
+    }
+    let r = f64::from(radius);
+    let mut rgb = [0.0; 3];
+    for (d2, _, p) in &found {
+        let d = f64::from(f32::from_bits(*d2)).sqrt();
+        let (weight, volume) = match gather.kernel {
+            Kernel::Constant => (1.0, 1.0),
+            Kernel::Cone => (1.0 - d / r, 1.0 / 3.0),
+            Kernel::Epanechnikov => (1.0 - d * d / r / r, 0.5),
+        };
+        for (sum, flux) in rgb.iter_mut().zip(p.flux_w()) {
+            *sum += f64::from(flux) * weight / (std::f64::consts::PI * r * r * volume);
+        }
+    }
+    (rgb, number, radius)
+}
+
+fn any_gather() -> impl Strategy<Value = Gather> {
+    let kernels = prop::sample::select(vec![Kernel::Constant, Kernel::Cone, Kernel::Epanechnikov]);
+    (2u32..20, 0.05f32..2.0, kernels).prop_map(|(photons, radius, kernel)| Gather {
+        photons,
+        radius,
+        kernel,
+    })
+}
+
+proptest! {
+    /// The same set, whatever ties and duplicates there are: the same number, radius and sum; and the
+    /// same bits for any permutation.
+    #[test]
+    fn gather_is_brute_force(
+        photons in proptest::collection::vec((coarse_photon(), any::<bool>()), 0..150),
+        x in prop::array::uniform3(prop::sample::select(vec![-0.5f32, 0.0, 0.1, 0.5, 0.77])),
+        gather in any_gather(),
+    ) {
+        // A portal that cuts the cloud of points in two, at x = 0.4.
+        let (portals, mut pieces) = door();
+        for corner in &mut pieces[0].corners {
+            *corner = [0.4, corner[1] - 1.5, corner[2] - 1.0];
+        }
+        let portals = PortalSet::new(&portals, &pieces);
+        let photons: Vec<PhotonRecord> = photons
+            .into_iter()
+            .map(|(mut p, halo)| { p.flags |= if halo { PHOTON_HALO } else { 0 }; p })
+            .collect();
+        let (point, normal) = (Vec3::from(x), Vec3::Z);
+        let got = ask(&blob(&photons, 10.0), point, normal, &gather, &portals);
+        let (rgb, number, radius) = brute_force(&photons, point, normal, &gather, &portals);
+        prop_assert_eq!((got.photons, got.radius.to_bits()), (number, radius.to_bits()));
+        for (got, expected) in got.rgb.into_iter().zip(rgb) {
+            prop_assert!((f64::from(got) - expected).abs() <= 1e-6 * expected + 1e-9, "{got} for {expected}");
+        }
+        let back: Vec<_> = photons.iter().rev().copied().collect();
+        let again = ask(&blob(&back, 10.0), point, normal, &gather, &portals);
+        prop_assert_eq!(bits(&again), bits(&got));
+        // Every photon stored on this side instead: those that were visible are still the same bits.
+        if photons.iter().all(|p| p.flags & PHOTON_HALO == 0 || portals.crosses(point, Vec3::from(p.position()))) {
+            let mut own = photons;
+            own.iter_mut().for_each(|p| p.flags &= !PHOTON_HALO);
+            prop_assert_eq!(bits(&ask(&blob(&own, 10.0), point, normal, &gather, &portals)), bits(&got));
+        }
+    }
+
+    /// The quick octahedral decoder points where the layout's points.
+    #[test]
+    fn directions_agree_with_the_layout(a in 0u32..1 << 24, b in 0u32..1 << 24) {
+        let p = PhotonRecord { directions: PhotonRecord::pack_directions(a, b), ..Default::default() };
+        let [x, y, z, ..] = p.directions;
+        let quick = super::gather::direction(x, y, z).normalize();
+        prop_assert!((quick - Vec3::from(octahedral::decode(a))).length() < 1e-6);
+    }
+}
+
+#[test]
+fn a_large_random_room_agrees_with_brute_force() {
+    let photons = shuffled(5_000, 11);
+    let blob = blob(&photons, 1.0);
+    let queries = shuffled(60, 12);
+    for (i, q) in queries.iter().enumerate() {
+        let kernel = [Kernel::Constant, Kernel::Cone, Kernel::Epanechnikov][i % 3];
+        let gather = Gather { photons: 2 + i as u32 * 3, radius: 0.1 + 0.01 * i as f32, kernel };
+        let (x, n) = (Vec3::from(q.position()), Vec3::from(q.normal()));
+        let got = ask(&blob, x, n, &gather, &PortalSet::none());
+        let (rgb, number, radius) = brute_force(&photons, x, n, &gather, &PortalSet::none());
+        assert_eq!((got.photons, got.radius), (number, radius));
+        assert!(number > 0);
+        for (got, expected) in got.rgb.into_iter().zip(rgb) {
+            assert!((f64::from(got) - expected).abs() <= 1e-6 * expected, "{got} for {expected}");
+        }
+    }
+}
+
+/// A grid of photons, one every `step` metres, on the plane z = `height`, over [-2, 2]².
+fn plane(step: f32, height: f32, normal: Vec3, flux: [f32; 3]) -> Vec<PhotonRecord> {
+    let n = (2.0 / step) as i32;
+    (-n..=n)
+        .flat_map(|i| (-n..=n).map(move |j| (i, j)))
+        .map(|(i, j)| {
+            let at = Vec3::new(i as f32 * step, j as f32 * step, height);
+            impact(at, -normal, normal, flux)
+        })
+        .collect()
+}
+
+#[test]
+fn uniform_field_gives_its_irradiance() {
+    // 64 photons of 2^-6 W per unit area at random: 1 W/m² is 1 to within 3 standard deviations.
+    let mut r = Random(5);
+    let (n, flux) = (40_000, [1.0 / 1024.0, 0.5 / 1024.0, 0.0]);
+    let photons: Vec<_> = (0..n)
+        .map(|_| {
+            let at = Vec3::new(r.next() * 4.0 - 2.0, r.next() * 4.0 - 2.0, 1.0);
+            impact(at, Vec3::new(0.3, 0.2, -1.0), Vec3::Z, flux)
+        })
+        .collect();
+    let truth = n as f32 / 16.0 / 1024.0;
+    let blob = blob(&photons, 1.0);
+    for kernel in [Kernel::Constant, Kernel::Cone, Kernel::Epanechnikov] {
+        for k in [50, 200, 1000] {
+            let gather = Gather { photons: k, radius: 1.0, kernel };
+            let (mut sum, queries) = (0.0, 400);
+            for _ in 0..queries {
+                let x = Vec3::new(r.next() * 2.0 - 1.0, r.next() * 2.0 - 1.0, 1.0);
+                let e = ask(&blob, x, Vec3::Z, &gather, &PortalSet::none());
+                assert_eq!(e.photons, k);
+                assert!((e.rgb[1] - 0.5 * e.rgb[0]).abs() < 1e-6 && e.rgb[2] == 0.0);
+                // A cone has 1.5 times the variance of a disc, a paraboloid 4/3: 5 sigma for one.
+                assert!((e.rgb[0] / truth - 1.0).abs() < 6.2 / (k as f32).sqrt());
+                sum += e.rgb[0];
+            }
+            // The plane has some 12,000 photons within reach: that bounds how good the mean can be.
+            let mean = sum / queries as f32 / truth;
+            assert!((mean - 1.0).abs() < 3.0 / 12_000f32.sqrt(), "{kernel:?} {k}: {mean}");
+            let e = ask(&blob, Vec3::new(0.1, 0.2, 1.0), Vec3::Z, &gather, &PortalSet::none());
+            assert!((e.rgb[0] / truth - 1.0).abs() < 3.0 / (k as f32).sqrt(), "{kernel:?} {k}");
+        }
+    }
+}
+
+#[test]
+fn one_photon_by_hand() {
+    let photon = impact(Vec3::new(0.3, 0.0, 0.0), -Vec3::Z, Vec3::Z, [1.0, 0.5, 0.25]);
+    let blob = blob(&[photon], 2.0);
+    let e = |radius, kernel| {
+        let gather = Gather { photons: 50, radius, kernel };
+        ask(&blob, Vec3::ZERO, Vec3::Z, &gather, &PortalSet::none())
+    };
+    assert_eq!(e(0.2, Kernel::Constant), Irradiance::default());
+    let near = |a: [f32; 3], b: f32| {
+        assert!((a[0] / b - 1.0).abs() < 1e-6, "{a:?} {b}");
+        assert_eq!([a[1], a[2]], [a[0] * 0.5, a[0] * 0.25]);
+    };
+    near(e(0.5, Kernel::Constant).rgb, 1.0 / (PI * 0.25));
+    near(e(0.5, Kernel::Cone).rgb, 3.0 * (1.0 - 0.6) / (PI * 0.25));
+    near(e(0.5, Kernel::Epanechnikov).rgb, 2.0 * (1.0 - 0.36) / (PI * 0.25));
+    assert_eq!((e(0.5, Kernel::Cone).photons, e(0.5, Kernel::Cone).radius), (1, 0.5));
+    // Not beyond what the map is complete for.
+    assert_eq!(e(5.0, Kernel::Constant).radius, 2.0);
+    for bad in [0.0, -1.0, f32::NAN] {
+        assert_eq!(e(bad, Kernel::Constant), Irradiance::default());
+    }
+}
+
+#[test]
+fn duplicates_in_one_spot_are_finite() {
+    let photon = impact(Vec3::splat(1.0), -Vec3::Z, Vec3::Z, [1.0; 3]);
+    let blob = blob(&[photon; 100], 1.0);
+    let gather = Gather { photons: 50, radius: 1.0, kernel: Kernel::Constant };
+    let e = ask(&blob, Vec3::splat(1.0), Vec3::Z, &gather, &PortalSet::none());
+    let expected = 50.0 / (PI * SMALLEST_DISC_M * SMALLEST_DISC_M);
+    assert!((e.rgb[0] / expected - 1.0).abs() < 1e-5, "{e:?}");
+    assert_eq!((e.photons, e.radius), (50, SMALLEST_DISC_M));
+}
+
+#[test]
+fn no_light_through_a_thin_wall_nor_from_a_shelf_nor_round_an_edge() {
+    let gather = Gather { photons: 100, radius: 0.5, kernel: Kernel::Constant };
+    let e = |photons: &[PhotonRecord], n: Vec3| {
+        ask(&blob(photons, 0.5), Vec3::new(0.013, 0.007, 0.0), n, &gather, &PortalSet::none())
+    };
+    let lit = plane(0.05, 0.0, Vec3::Z, [1.0; 3]);
+    assert!(e(&lit, Vec3::Z).rgb[0] > 300.0);
+    // The same sheet from behind, the other side of a wall of 1 mm, of 5 cm.
+    assert_eq!(e(&lit, -Vec3::Z).photons, 0);
+    assert_eq!(e(&plane(0.05, 0.001, -Vec3::Z, [1.0; 3]), Vec3::Z).photons, 0);
+    assert_eq!(e(&plane(0.05, -0.05, -Vec3::Z, [1.0; 3]), Vec3::Z).photons, 0);
+    // The next shelf, 25 cm up: farther than the slab allows anywhere within the radius.
+    assert_eq!(e(&plane(0.05, 0.25, Vec3::Z, [1.0; 3]), Vec3::Z).photons, 0);
+    // The side of a box, at a right angle and at 45 degrees.
+    let tilted: Vec<_> = lit
+        .iter()
+        .map(|p| impact(Vec3::from(p.position()), -Vec3::Z, Vec3::new(1.0, 0.0, 1.0), [1.0; 3]))
+        .collect();
+    assert_eq!(e(&tilted, Vec3::Z).photons, 0);
+    assert_eq!(e(&tilted, Vec3::X).photons, 0);
+    // A photon that came from behind its own surface (a bent normal) does not count.
+    let behind = impact(Vec3::ZERO, Vec3::Z, Vec3::Z, [1.0; 3]);
+    assert_eq!(e(&[behind], Vec3::Z).photons, 0);
+    // A little relief does: 5 mm.
+    assert!(e(&plane(0.05, 0.005, Vec3::Z, [1.0; 3]), Vec3::Z).photons == 100);
+}
+
+/// Two rooms with the wall x = 2 between them, and its door; the floor is z = 0.
+#[test]
+fn a_doorway_makes_no_difference() {
+    let (portals, pieces) = door();
+    let portals = PortalSet::new(&portals, &pieces);
+    let mut r = Random(77);
+    let floor: Vec<_> = (0..30_000)
+        .map(|_| {
+            let at = Vec3::new(r.next() * 4.0, r.next() * 3.0, 0.0);
+            let flux = [0.001 * r.next(), 0.002 * r.next(), 0.003];
+            impact(at, Vec3::new(r.next() - 0.5, r.next() - 0.5, -0.4), Vec3::Z, flux)
+        })
+        .collect();
+    let whole = blob(&floor, 0.4);
+    let gather = |k| Gather { photons: k, radius: 0.4, kernel: Kernel::Epanechnikov };
+    let mut halo = 0;
+    let mut split = Vec::new();
+    for p in &floor {
+        let mut p = *p;
+        if p.position()[0] >= 2.0 {
+            if !wants_halo(&portals, &p, 0.4) {
+                continue;
+            }
+            p.flags |= PHOTON_HALO;
+            halo += 1;
+        }
+        split.push(p);
+    }
+    // 1 m of door and two quarter discs of 0.4 m beyond it, 2500 photons a square metre.
+    let expected = 2500.0 * (0.4 + PI * 0.16 / 2.0);
+    assert!((halo as f32 / expected - 1.0).abs() < 0.1, "{halo} for {expected}");
+    let split = blob(&split, 0.4);
+    let mut beyond = 0;
+    for i in 0..500 {
+        // Within sight of nothing but the door: 100 photons reach 0.113 m.
+        let x = Vec3::new(2.0 - 0.2 * r.next(), 1.2 + 0.6 * r.next(), 0.0);
+        let x = if i == 0 { Vec3::new(2.0, 1.5, 0.0) } else { x };
+        let a = ask(&whole, x, Vec3::Z, &gather(100), &PortalSet::none());
+        let b = ask(&split, x, Vec3::Z, &gather(100), &portals);
+        assert_eq!(bits(&a), bits(&b), "at {x}");
+        beyond += u32::from(x.x + a.radius > 2.0);
+    }
+    assert!(beyond > 150, "the test must look through the door: {beyond}");
+    // Behind the wall beside the door the neighbour's floor is near, and does not count.
+    let x = Vec3::new(1.99, 0.7, 0.0);
+    let own: Vec<_> = floor.iter().filter(|p| p.position()[0] < 2.0).copied().collect();
+    let alone = ask(&blob(&own, 0.4), x, Vec3::Z, &gather(100), &PortalSet::none());
+    assert_eq!(bits(&ask(&split, x, Vec3::Z, &gather(100), &portals)), bits(&alone));
+}
+
+#[test]
+fn scratch_is_reused_and_does_not_grow() {
+    let photons = shuffled(2_000, 1);
+    let blob = blob(&photons, 1.0);
+    let map = PhotonMap::from_blob(&blob).unwrap();
+    let gather = Gather { photons: 50, radius: 1.0, kernel: Kernel::Constant };
+    let mut scratch = GatherScratch::new(50);
+    let before = scratch.bytes();
+    for q in &photons {
+        let (x, n) = (Vec3::from(q.position()), Vec3::from(q.normal()));
+        let e = map.irradiance(x, n, &gather, &PortalSet::none(), &mut scratch);
+        assert!(e.photons > 15);
+        let fresh = ask(&blob, x, n, &gather, &PortalSet::none());
+        assert_eq!(bits(&e), bits(&fresh));
+    }
+    assert_eq!(scratch.bytes(), before);
+}
+
+#[test]
+fn broken_trees_and_questions_do_not_panic() {
+    let mut r = Random(9);
+    let mut photons = shuffled(300, 2);
+    for p in &mut photons {
+        p.flags = (r.next() * 65536.0) as u16;
+        if r.next() < 0.1 {
+            p.position_bits = [0x7fc0_0000, 0x7f80_0000, 0xff80_0000];
+        }
+    }
+    let blob = PhotonMap::build_blob(&photons, 0, f32::INFINITY);
+    for x in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY, Vec3::splat(f32::MAX)] {
+        for n in [Vec3::Z, Vec3::NAN, Vec3::ZERO] {
+            for radius in [1.0, f32::INFINITY, f32::MAX, 1e-40] {
+                for photons in [0, 1, 50, u32::MAX] {
+                    let gather = Gather { photons, radius, kernel: Kernel::Cone };
+                    let e = ask(&blob, x, n, &gather, &PortalSet::none());
+                    assert!(e.rgb.iter().all(|c| *c >= 0.0), "{e:?}");
+                }
+            }
+        }
+    }
+}
