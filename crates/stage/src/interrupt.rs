@@ -1,0 +1,64 @@
+//! Ctrl-C and SIGTERM: the first asks, the second Ctrl-C insists.
+//!
+//! A stage looks at [`interrupted`] between blocks, commits what it has and returns
+//! [`crate::Failure::interrupted`]. A user who presses Ctrl-C again does not want to wait: the
+//! process exits at once, and the journal makes that harmless too.
+
+use std::io;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::iterator::Signals;
+
+use crate::failure::{Failure, Result};
+
+/// `timeout` signals its child and then the child's whole group: two signals that are one wish.
+const SAME_WISH: Duration = Duration::from_millis(400);
+
+static SIGNAL: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
+
+/// Begins to catch SIGINT and SIGTERM; only the first call does anything.
+///
+/// # Errors
+/// I/O, if the system refuses the handlers or the thread that watches for a second Ctrl-C.
+pub fn install() -> Result<()> {
+    let flag = Arc::new(AtomicUsize::new(0));
+    if SIGNAL.set(Arc::clone(&flag)).is_err() {
+        return Ok(());
+    }
+    watch(&flag).map_err(|e| Failure::io(format!("cannot catch signals: {e}")))
+}
+
+fn watch(flag: &Arc<AtomicUsize>) -> io::Result<()> {
+    for (signal, value) in [(SIGINT, SIGINT as usize), (SIGTERM, SIGTERM as usize)] {
+        signal_hook::flag::register_usize(signal, Arc::clone(flag), value)?;
+    }
+    let mut signals = Signals::new([SIGINT, SIGTERM])?;
+    thread::Builder::new().name("signals".into()).stack_size(64 << 10).spawn(move || {
+        let mut first: Option<Instant> = None;
+        for signal in &mut signals {
+            let since = *first.get_or_insert_with(Instant::now);
+            if signal == SIGINT && since.elapsed() > SAME_WISH {
+                signal_hook::low_level::exit(128 + SIGINT);
+            }
+        }
+    })?;
+    Ok(())
+}
+
+/// The signal that asked this process to stop, if one did. Costs one relaxed load.
+pub fn interrupted() -> Option<i32> {
+    let signal = SIGNAL.get()?.load(Ordering::Relaxed);
+    i32::try_from(signal).ok().filter(|&s| s != 0)
+}
+
+/// [`interrupted`] as a result, for `?` in loops that have nothing to tidy up.
+///
+/// # Errors
+/// [`Failure::interrupted`].
+pub fn check() -> Result<()> {
+    interrupted().map_or(Ok(()), |signal| Err(Failure::interrupted(signal)))
+}

@@ -1,0 +1,225 @@
+//! Tiles in memory: a loader thread that fetches ahead, and a cache that keeps what the budget allows (the
+//! paper's section 9 names this cache as future work).
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crossbeam::channel::{Receiver, Sender, bounded};
+use enf_geometry::{GridView, TileMesh};
+use enf_layout::sections::Malformed;
+use enf_layout::segment::ExtentKind;
+use enf_store::{Buffer, MemoryBudget, StageReader, StoreError};
+
+use crate::failure::{Failure, Result};
+use crate::timeline::Timeline;
+
+/// One tile's mesh and grid, inflated, checked once.
+pub struct TileData {
+    /// Tile id.
+    pub tile: u32,
+    mesh: Buffer,
+    grid: Buffer,
+}
+
+impl TileData {
+    /// The mesh.
+    ///
+    /// # Errors
+    /// When the blob is malformed; it was checked when it was loaded.
+    pub fn mesh(&self) -> std::result::Result<TileMesh<'_>, Malformed> {
+        TileMesh::from_checked_blob(&self.mesh)
+    }
+
+    /// The grid.
+    ///
+    /// # Errors
+    /// When the blob is malformed; it was checked when it was loaded.
+    pub fn grid(&self) -> std::result::Result<GridView<'_>, Malformed> {
+        GridView::from_checked_blob(&self.grid)
+    }
+
+    /// Bytes held.
+    pub fn bytes(&self) -> u64 {
+        (self.mesh.len() + self.grid.len()) as u64
+    }
+}
+
+/// Reads tiles.
+pub struct TileReader<'a> {
+    /// The partition stage, for meshes.
+    pub partition: &'a StageReader,
+    /// The grid stage.
+    pub grid: &'a StageReader,
+    /// Where the bytes come from.
+    pub budget: &'a MemoryBudget,
+}
+
+impl TileReader<'_> {
+    /// Bytes that the tile needs when it is resident.
+    ///
+    /// # Errors
+    /// When the store does not have it.
+    pub fn bytes(&self, tile: u32) -> Result<u64> {
+        Ok(self.partition.single(ExtentKind::Geometry, tile)?.raw_bytes
+            + self.grid.single(ExtentKind::Grid, tile)?.raw_bytes)
+    }
+
+    /// Reads, verifies and inflates a tile.
+    ///
+    /// # Errors
+    /// Corrupt or missing extents; a budget that has no room.
+    pub fn load(&self, tile: u32) -> std::result::Result<TileData, StoreError> {
+        let geometry = self.partition.single(ExtentKind::Geometry, tile)?;
+        let mesh = self.partition.read(geometry, self.budget, "mesh of a tile")?;
+        let extent = self.grid.single(ExtentKind::Grid, tile)?;
+        let grid = self.grid.read(extent, self.budget, "grid of a tile")?;
+        let triangles = TileMesh::from_blob(&mesh)?.triangles.len();
+        GridView::from_blob(&grid, triangles)?;
+        Ok(TileData { tile, mesh, grid })
+    }
+}
+
+/// The cache of resident tiles. Owned by the stage's main thread; the loader runs beside it.
+pub struct TileCache {
+    requests: Sender<u32>,
+    replies: Receiver<(u32, std::result::Result<TileData, StoreError>)>,
+    /// What was asked for and has not arrived.
+    in_flight: Option<u32>,
+    resident: BTreeMap<u32, (u64, Arc<TileData>)>,
+    clock: u64,
+    most: usize,
+    loads: BTreeMap<u32, u32>,
+    evicted: u64,
+}
+
+impl TileCache {
+    /// A cache of at most `most` tiles (0: as many as the budget holds), and the loop that the loader thread runs.
+    pub fn new<'a>(
+        reader: TileReader<'a>,
+        most: usize,
+        timeline: &'a Timeline,
+    ) -> (Self, impl FnOnce() + Send + 'a) {
+        let (requests, incoming) = bounded::<u32>(1);
+        let (outgoing, replies) = bounded(1);
+        let lane = move || {
+            let handle = timeline.lane("loader");
+            for tile in incoming {
+                let span = handle.io("load", tile);
+                let loaded = reader.load(tile);
+                drop(span);
+                if outgoing.send((tile, loaded)).is_err() {
+                    break;
+                }
+            }
+        };
+        let cache = Self {
+            requests,
+            replies,
+            in_flight: None,
+            resident: BTreeMap::new(),
+            clock: 0,
+            most,
+            loads: BTreeMap::new(),
+            evicted: 0,
+        };
+        (cache, lane)
+    }
+
+    /// Whether the tile is in memory.
+    pub fn is_resident(&self, tile: u32) -> bool {
+        self.resident.contains_key(&tile)
+    }
+
+    /// Asks for a tile ahead of its use, where that evicts nothing that is in use.
+    ///
+    /// # Errors
+    /// A tile that arrived in the meantime and could not be read.
+    pub fn prefetch(&mut self, tile: u32) -> Result<()> {
+        if self.in_flight.is_some() || self.most == 1 || self.is_resident(tile) {
+            return Ok(());
+        }
+        self.make_room(1);
+        self.request(tile)
+    }
+
+    fn request(&mut self, tile: u32) -> Result<()> {
+        self.requests.send(tile).map_err(|_| Failure::io("the loader thread has stopped"))?;
+        self.in_flight = Some(tile);
+        Ok(())
+    }
+
+    /// Evicts least recently used tiles until at most `most` less `coming` stay.
+    fn make_room(&mut self, coming: usize) {
+        while self.most > 0 && self.resident.len() + coming > self.most {
+            if !self.evict_one() {
+                break;
+            }
+        }
+    }
+
+    fn evict_one(&mut self) -> bool {
+        // A tile that someone holds is in use; dropping it from the cache would free nothing.
+        let oldest = self
+            .resident
+            .iter()
+            .filter(|(_, (_, data))| Arc::strong_count(data) == 1)
+            .min_by_key(|(_, (used, _))| *used)
+            .map(|(&tile, _)| tile);
+        match oldest {
+            Some(tile) => {
+                self.resident.remove(&tile);
+                self.evicted += 1;
+                true
+            }
+            None => false,
+        }
+    }
+
+    /// The tile, loaded now if it must be. Tiles that nobody holds make way until the budget has room.
+    ///
+    /// # Errors
+    /// Exit 3 when it does not fit even alone, naming the tile's need; exit 4 when it is damaged.
+    pub fn get(&mut self, tile: u32) -> Result<Arc<TileData>> {
+        self.clock += 1;
+        loop {
+            if let Some((used, data)) = self.resident.get_mut(&tile) {
+                *used = self.clock;
+                return Ok(Arc::clone(data));
+            }
+            if self.in_flight.is_none() {
+                self.make_room(1);
+                self.request(tile)?;
+            }
+            let (arrived, loaded) =
+                self.replies.recv().map_err(|_| Failure::io("the loader thread has stopped"))?;
+            self.in_flight = None;
+            match loaded {
+                Ok(data) => {
+                    *self.loads.entry(arrived).or_default() += 1;
+                    if arrived != tile {
+                        self.make_room(2);
+                    }
+                    self.resident.insert(arrived, (self.clock, Arc::new(data)));
+                }
+                Err(StoreError::Budget(_)) if self.evict_one() => {}
+                // A prefetch that found no room is no error, only no use.
+                Err(StoreError::Budget(_)) if arrived != tile => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
+    }
+
+    /// Frees every tile that nobody holds; true if any was.
+    pub fn evict_all(&mut self) -> bool {
+        let mut any = false;
+        while self.evict_one() {
+            any = true;
+        }
+        any
+    }
+
+    /// Loads so far, by tile.
+    pub fn loads(&self) -> &BTreeMap<u32, u32> {
+        &self.loads
+    }
+}

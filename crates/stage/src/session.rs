@@ -1,0 +1,172 @@
+//! One run of one stage: its budget, its timeline, and the answer to "was this done already?".
+
+use std::time::Instant;
+
+use enf_layout::segment::StageKind;
+use enf_store::{
+    Identity, MemoryBudget, Reservation, StageState, StageWriter, StoreDir, StoreError,
+};
+
+use crate::args::CommonArgs;
+use crate::ids::Selection;
+use crate::failure::{Failure, Result};
+use crate::stats::Stats;
+use crate::tables::Tables;
+use crate::timeline::Timeline;
+
+/// One run of one stage.
+pub struct Session {
+    /// The only source of large bytes.
+    pub budget: MemoryBudget,
+    /// Where `--trace` goes.
+    pub timeline: Timeline,
+    /// When the stage began.
+    pub started: Instant,
+    /// What it will report.
+    pub stats: Stats,
+    /// The process itself: code, stacks, allocator.
+    _process: Reservation,
+}
+
+impl Session {
+    /// Opens the session of a stage. The process's own code and stacks are in the budget as well.
+    ///
+    /// # Errors
+    /// Exit 3 when the process alone is over the budget; exit 5 when a report could not be written later.
+    pub fn open(common: &CommonArgs) -> Result<Self> {
+        let stats = Stats::begin(common)?;
+        let (budget, process) = crate::memory_budget(common)?;
+        Ok(Self {
+            budget,
+            timeline: Timeline::new(common.trace.clone())?,
+            started: Instant::now(),
+            stats,
+            _process: process,
+        })
+    }
+
+    /// Ends the session: completes and writes the report, and returns it.
+    ///
+    /// # Errors
+    /// Exit 5 when the report or the timeline cannot be written.
+    pub fn finish(mut self, common: &CommonArgs, stage: &str, store: &StoreDir) -> Result<serde_json::Value> {
+        self.stats.set_budget(&self.budget);
+        self.stats.set_io(store.io(), enf_store::IoCounters::default());
+        self.timeline.finish()?;
+        self.stats.finish(common, stage, self.started)
+    }
+}
+
+/// What a stage finds in the store before it starts.
+pub enum Begin {
+    /// The same work is finished.
+    Finished,
+    /// A writer: new, or resumed.
+    Work(Box<StageWriter>),
+}
+
+/// Opens a stage for writing. Finished with the same identity is [`Begin::Finished`]; unfinished is resumed;
+/// another identity is refused, or discarded (with all later stages) under `force`.
+///
+/// # Errors
+/// Exit 2 when another run's output is in the way, naming the differences; exit 5 when another process owns it.
+pub fn begin(
+    store: &StoreDir,
+    stage: StageKind,
+    process: u32,
+    identity: &Identity,
+    force: bool,
+) -> Result<Begin> {
+    if store.stage_state(stage)? != StageState::Absent
+        && let Some(found) = store.identity(stage)?
+    {
+        let differences = found.differences(identity);
+        if differences.is_empty() {
+            if store.stage_state(stage)? == StageState::Sealed {
+                return Ok(Begin::Finished);
+            }
+        } else if force {
+            store.discard_from(stage)?;
+        } else {
+            return Err(Failure::usage(format!(
+                "{} holds another {} run: {}",
+                store.path().display(),
+                stage.name(),
+                differences.join("; ")
+            ))
+            .with_hint("--force discards it and everything made from it, or choose another output"));
+        }
+    }
+    match StageWriter::open(store, stage, process, identity) {
+        Ok(writer) => {
+            // A new beginning makes what later stages hold meaningless.
+            if !writer.resumed()
+                && let Some(next) = StageKind::ALL.into_iter().find(|&s| s > stage)
+            {
+                store.discard_from(next)?;
+            }
+            Ok(Begin::Work(Box::new(writer)))
+        }
+        Err(StoreError::Sealed { .. }) => Ok(Begin::Finished),
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// The identity that a stage inherits from the one before: it changes whenever that one's does.
+///
+/// # Errors
+/// Exit 4 when the stage before is missing or unfinished.
+pub fn inherit(store: &StoreDir, from: StageKind) -> Result<Identity> {
+    let mut identity = Identity::default();
+    if let Some(before) = store.identity(from)? {
+        let hash: String = before.hash().iter().map(|b| format!("{b:02x}")).collect();
+        identity.push(from.name(), hash);
+    }
+    Ok(identity)
+}
+
+/// The rooms that a selection names, in its order; an id that the store does not have is bad input.
+///
+/// # Errors
+/// Exit 4 for an unknown room.
+pub fn rooms_of(selection: &Selection, rooms: usize) -> Result<Vec<u32>> {
+    match selection {
+        Selection::All => Ok((0..rooms as u32).collect()),
+        Selection::Ids(ids) => {
+            if let Some(id) = ids.iter().find(|&&id| id as usize >= rooms) {
+                return Err(Failure::input(format!(
+                    "there is no room {id}: the store has rooms 0 to {}",
+                    rooms.saturating_sub(1)
+                )));
+            }
+            Ok(ids.clone())
+        }
+    }
+}
+
+/// The refusal that names the room, what it needs, and what would do.
+pub fn too_small(
+    tables: &Tables,
+    tile: u32,
+    needs: u64,
+    budget: &MemoryBudget,
+    memory: u64,
+) -> Failure {
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    let room = tables.tiles()[tile as usize].room;
+    let held: Vec<String> =
+        budget.holders().iter().map(|(what, bytes)| format!("{what} {}", mib(*bytes))).collect();
+    Failure::budget(format!(
+        "room {room} needs {} MiB of {}: mesh and grid {}, {}",
+        mib(needs + budget.reserved()),
+        memory >> 20,
+        mib(needs),
+        held.join(", ")
+    ))
+    .with_hint(format!(
+        "--memory {}M would do, or cut it into smaller tiles: enf-partition --memory {}M",
+        mib(needs * 2 + budget.reserved()),
+        memory >> 20
+    ))
+}
+
