@@ -137,8 +137,8 @@ impl GridView<'_> {
             pace[i] = f64::from(header.cell) * inverse;
             base[i] = near;
         }
-        // NaN bounds end here too.
-        if !(enter <= leave) {
+        // A NaN bound was dropped by min or max; no hit passes the test against it either.
+        if enter > leave {
             return None;
         }
 

@@ -1,0 +1,144 @@
+//! Rays per second in a furnished room: `grid_bench [triangles] [rays]`.
+//!
+//! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes.
+//! Rays are incoherent: diffuse bounces from random places, one after the other, as photons are.
+
+use std::time::Instant;
+
+use enf_geometry::{GridView, NONE, PreparedRay, Ray, TileMesh, build_grid, grid_bytes_estimate};
+use glam::Vec3;
+
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    fn in_box(&mut self, size: Vec3) -> Vec3 {
+        Vec3::new(self.unit(), self.unit(), self.unit()) * size
+    }
+
+    fn direction(&mut self) -> Vec3 {
+        loop {
+            let p = 2.0 * self.in_box(Vec3::ONE) - Vec3::ONE;
+            let square = p.length_squared();
+            if square > 1e-4 && square <= 1.0 {
+                return p / square.sqrt();
+            }
+        }
+    }
+}
+
+/// An `n` x `n` patch of quadrilaterals.
+fn patch(out: &mut Vec<[[f32; 3]; 3]>, n: usize, at: impl Fn(f32, f32) -> Vec3) {
+    let p = |i: usize, j: usize| at(i as f32 / n as f32, j as f32 / n as f32).to_array();
+    for i in 0..n {
+        for j in 0..n {
+            let (a, b, c, d) = (p(i, j), p(i + 1, j), p(i + 1, j + 1), p(i, j + 1));
+            out.push([a, b, c]);
+            out.push([a, c, d]);
+        }
+    }
+}
+
+fn cuboid(out: &mut Vec<[[f32; 3]; 3]>, n: usize, min: Vec3, size: Vec3) {
+    let (x, y, z) = (Vec3::X * size, Vec3::Y * size, Vec3::Z * size);
+    for (a, b, c) in [(x, y, z), (y, z, x), (z, x, y)] {
+        patch(out, n, |s, t| min + s * b + t * a);
+        patch(out, n, |s, t| min + c + s * a + t * b);
+    }
+}
+
+fn room(target: usize, random: &mut Random) -> Vec<[[f32; 3]; 3]> {
+    let size = Vec3::new(20.0, 15.0, 4.0);
+    let mut out = Vec::new();
+    cuboid(&mut out, ((target / 60) as f32).sqrt() as usize + 1, Vec3::ZERO, size);
+    while out.len() < target {
+        let scale = 0.05 + random.unit() * random.unit();
+        let mut at = random.in_box(size - 2.0 * scale);
+        at.z *= random.unit() * 0.5;
+        if random.unit() < 0.6 {
+            cuboid(&mut out, 1 + (random.unit() * 3.0) as usize, at, random.in_box(size) * 0.1);
+        } else {
+            let sphere = |s: f32, t: f32| {
+                let (a, b) = (s * std::f32::consts::TAU, t * std::f32::consts::PI);
+                let (a, b) = (libm_sin_cos(a), libm_sin_cos(b));
+                at + scale + scale * Vec3::new(a.1 * b.0, a.0 * b.0, b.1)
+            };
+            patch(&mut out, 12 + (random.unit() * 12.0) as usize, sphere);
+        }
+    }
+    out.truncate(target);
+    out
+}
+
+fn libm_sin_cos(x: f32) -> (f32, f32) {
+    (x.sin(), x.cos())
+}
+
+fn main() {
+    let mut arguments = std::env::args().skip(1).filter_map(|a| a.parse().ok());
+    let triangles: usize = arguments.next().unwrap_or(60_000);
+    let rays: usize = arguments.next().unwrap_or(2_000_000);
+    let mut random = Random(7);
+    let soup = room(triangles, &mut random);
+    let start = Instant::now();
+    let blob = TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
+    println!("mesh: {} triangles, {} bytes, {:?}", soup.len(), blob.len(), start.elapsed());
+    let mesh = TileMesh::from_blob(&blob).expect("a mesh that was just built");
+
+    let delta = 32.0 / (1 << 19) as f32;
+    let start = Instant::now();
+    let grid_blob = build_grid(&mesh, delta);
+    let built = start.elapsed();
+    let start = Instant::now();
+    let grid = GridView::from_blob(&grid_blob, mesh.len()).expect("a grid that was just built");
+    println!(
+        "grid: {} bytes ({:.0}% of the estimate), built in {built:?}, checked in {:?}",
+        grid_blob.len(),
+        100.0 * grid_blob.len() as f64 / grid_bytes_estimate(mesh.triangles.len() as u64) as f64,
+        start.elapsed()
+    );
+    println!("{:?}", grid.header());
+
+    let mut origin = Vec3::new(10.0, 7.5, 2.0);
+    let mut last = NONE;
+    let (mut hits, mut length) = (0u64, 0.0f64);
+    let directions: Vec<Vec3> = (0..1 << 16).map(|_| random.direction()).collect();
+    let start = Instant::now();
+    for i in 0..rays {
+        let mut direction = directions[i & 0xFFFF];
+        if last != NONE {
+            let normal = mesh.geometric_normal(last);
+            if normal.dot(direction) * normal.dot(origin - Vec3::new(10.0, 7.5, 2.0)) > 0.0 {
+                direction = -direction;
+            }
+        }
+        let ray = Ray { origin, direction };
+        let prepared = PreparedRay::new(&ray);
+        match grid.nearest(&mesh, &prepared, 0.0, f32::INFINITY, last, delta) {
+            Some(hit) if i % 17 != 0 => {
+                hits += 1;
+                length += f64::from(hit.t);
+                origin = ray.at(hit.t);
+                last = hit.global;
+            }
+            _ => {
+                origin = random.in_box(Vec3::new(20.0, 15.0, 4.0));
+                last = NONE;
+            }
+        }
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    println!(
+        "{:.2} M rays/s, {:.1} ns each, {hits} hits, mean length {:.3} m",
+        rays as f64 / seconds / 1e6,
+        seconds / rays as f64 * 1e9,
+        length / hits as f64
+    );
+}
