@@ -6,7 +6,9 @@
 //! | What stages are in this directory, and how far are they? | [`dir`] |
 //! | What was a stage made from? | [`identity`] |
 //! | How do I write extents so that a kill loses nothing that was committed? | [`writer`] |
+//! | How are bytes packed on their way to the disk? | [`encode`](mod@encode) |
 //! | How do I read, map and check what was written? | [`reader`] |
+//! | What does the seal of a finished stage say? | [`seal`] |
 //! | What went wrong, where, and what helps? | [`error`] |
 //!
 //! A stage of one process is three files: `trace.000.000.dat` holds extents, `trace.000.journal`
@@ -15,14 +17,23 @@
 
 pub mod budget;
 pub mod dir;
+pub mod encode;
 pub mod error;
+mod files;
 pub mod identity;
+mod load;
+mod map;
 pub mod reader;
+mod replay;
+pub mod seal;
 pub mod writer;
 
 pub use budget::{Array, ArrayFull, BudgetError, Buffer, MemoryBudget, Reservation, format_bytes};
 pub use dir::{IoCounters, StageState, StoreDir};
+pub use encode::{Encoded, Encoder, encode};
 pub use error::StoreError;
 pub use identity::Identity;
-pub use reader::{Mapped, StageReader, Verified, verify};
-pub use writer::{Encoded, Extent, StageWriter, encode};
+pub use load::{Extent, ExtentReader};
+pub use map::Mapped;
+pub use reader::{StageReader, Verified, verify};
+pub use writer::StageWriter;
