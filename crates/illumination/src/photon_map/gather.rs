@@ -80,6 +80,9 @@ struct Postponed {
 /// Deepest path in a tree of 2^32 photons.
 const DEPTH: usize = 33;
 
+/// Levels at the bottom of the tree that are cheaper to look through than to search.
+const BOTTOM_LEVELS: u32 = 3;
+
 /// Working memory of one thread that gathers; use it again and again.
 #[derive(Clone, Debug)]
 pub struct GatherScratch {
@@ -144,11 +147,16 @@ impl PhotonMap<'_> {
             k,
             farthest2: squared(radius),
             found,
+            dropped: None,
             portals,
             openings,
             openings_known: false,
         };
-        search.run(postponed);
+        search.run::<false>(postponed);
+        if search.is_tied() {
+            search.found.clear();
+            search.run::<true>(postponed);
+        }
         estimate(self.tree(), search.found, k, radius, gather.kernel)
     }
 }
@@ -167,6 +175,8 @@ struct Search<'a> {
     /// Photons farther than this (squared) need not be looked at.
     farthest2: f32,
     found: &'a mut Vec<Found>,
+    /// The squared distance at which a photon was last dropped that was no farther than one kept.
+    dropped: Option<f32>,
     portals: &'a PortalSet<'a>,
     openings: &'a mut Vec<Opening>,
     openings_known: bool,
@@ -176,17 +186,32 @@ impl Search<'_> {
     /// Nearer child first; the node itself and what lies beyond it when that comes back, if it is still
     /// near enough. The bound is exact in floating point too: `beyond` is no larger than a photon's own
     /// offset along each axis, and rounding is monotone.
-    fn run(&mut self, postponed: &mut [Postponed; DEPTH]) {
+    ///
+    /// `TIES`: go by the photons' bytes among equal distances. That is seldom needed, so a search is
+    /// made without first, which takes note if it was.
+    fn run<const TIES: bool>(&mut self, postponed: &mut [Postponed; DEPTH]) {
+        let tree = self.tree;
         let point = self.point.to_array();
+        // The first of the subtrees that are looked through without asking further.
+        let bottom = (tree.len() + 1).div_ceil(1 << BOTTOM_LEVELS) - 1;
         let (mut node, mut beyond, mut depth) = (0usize, [0.0f32; 3], 0usize);
         loop {
-            while let Some(photon) = self.tree.get(node) {
+            while node < bottom {
+                let photon = &tree[node];
                 let (axis, offset) = offset(photon, &point);
                 let mut far = beyond;
                 far[axis] = offset;
                 postponed[depth] = Postponed { node: node as u32, beyond: far };
                 depth += 1;
-                node = 2 * node + 1 + usize::from(in_front(photon, &point));
+                node = 2 * node + 1 + usize::from(offset > 0.0);
+            }
+            let (mut first, mut width) = (node, 1);
+            while let Some(row) = tree.get(first..tree.len().min(first + width)) {
+                for (i, photon) in row.iter().enumerate() {
+                    self.consider::<TIES>(first + i, photon);
+                }
+                first = 2 * first + 1;
+                width *= 2;
             }
             loop {
                 if depth == 0 {
@@ -198,9 +223,10 @@ impl Search<'_> {
                 if (x * x + y * y) + z * z <= self.farthest2 {
                     let here = next.node as usize;
                     beyond = next.beyond;
-                    let photon = &self.tree[here];
-                    self.consider(here, photon);
-                    node = 2 * here + 1 + usize::from(!in_front(photon, &point));
+                    let photon = &tree[here];
+                    self.consider::<TIES>(here, photon);
+                    let (_, offset) = offset(photon, &point);
+                    node = 2 * here + 2 - usize::from(offset > 0.0);
                     break;
                 }
             }
@@ -208,12 +234,20 @@ impl Search<'_> {
     }
 
     #[inline]
-    fn consider(&mut self, index: usize, photon: &PhotonRecord) {
+    fn consider<const TIES: bool>(&mut self, index: usize, photon: &PhotonRecord) {
         let way = Vec3::from(photon.position()) - self.point;
         let d2 = way.length_squared();
         if d2 <= self.farthest2 && self.counts(photon, way, d2) {
-            self.keep((u64::from(d2.to_bits()) << 32) | index as u64);
+            self.keep::<TIES>((u64::from(d2.to_bits()) << 32) | index as u64);
         }
+    }
+
+    /// Whether several photons are at exactly the k-th distance: then it matters which of them is the
+    /// k-th, and which were dropped.
+    fn is_tied(&self) -> bool {
+        let ties = |f: &Found| distance2(*f) == self.farthest2;
+        self.found.len() == self.k
+            && (self.dropped == Some(self.farthest2) || self.found.iter().skip(1).take(2).any(ties))
     }
 
     /// Whether the photon counts, its distance apart.
@@ -247,47 +281,58 @@ impl Search<'_> {
         self.openings.iter().any(|o| o.passes(from, to))
     }
 
-    /// Keeps the `k` nearest; among equals, the first in the order of the photons' bytes.
-    fn keep(&mut self, new: Found) {
-        if self.found.len() < self.k {
+    /// Keeps the `k` nearest; among equals, with `TIES`, the first in the order of the photons' bytes.
+    #[inline]
+    fn keep<const TIES: bool>(&mut self, new: Found) {
+        let Some(&farthest) = self.found.first().filter(|_| self.found.len() == self.k) else {
             self.found.push(new);
-            if self.found.len() < self.k {
+            if self.found.len() == self.k {
+                for root in (0..self.k / 2).rev() {
+                    self.sift::<TIES>(root);
+                }
+                self.farthest2 = distance2(self.found[0]);
+            }
+            return;
+        };
+        if TIES {
+            if !self.farther::<TIES>(farthest, new) {
                 return;
             }
-            for root in (0..self.k / 2).rev() {
-                self.sift(root);
-            }
-        } else if self.farther(self.found[0], new) {
-            self.found[0] = new;
-            self.sift(0);
+        } else if distance2(new) == distance2(farthest) {
+            self.dropped = Some(self.farthest2);
+            return;
         }
+        self.found[0] = new;
+        self.sift::<TIES>(0);
         self.farthest2 = distance2(self.found[0]);
-    }
-
-    fn farther(&self, a: Found, b: Found) -> bool {
-        if a >> 32 != b >> 32 {
-            return a > b;
+        if !TIES && self.farthest2 == distance2(farthest) {
+            self.dropped = Some(self.farthest2);
         }
-        stored_cmp(photon(self.tree, a), photon(self.tree, b)).is_gt()
     }
 
-    fn sift(&mut self, mut root: usize) {
+    #[inline]
+    fn farther<const TIES: bool>(&self, a: Found, b: Found) -> bool {
+        if TIES && a >> 32 == b >> 32 {
+            return stored_cmp(photon(self.tree, a), photon(self.tree, b)).is_gt();
+        }
+        a > b
+    }
+
+    /// Restores the heap below `root`.
+    #[inline]
+    fn sift<const TIES: bool>(&mut self, mut root: usize) {
         let moving = self.found[root];
-        loop {
-            let mut child = 2 * root + 1;
-            if child >= self.found.len() {
-                break;
-            }
-            if child + 1 < self.found.len()
-                && self.farther(self.found[child + 1], self.found[child])
-            {
-                child += 1;
-            }
-            if !self.farther(self.found[child], moving) {
+        let mut child = 2 * root + 1;
+        while child < self.found.len() {
+            let sibling = (child + 1).min(self.found.len() - 1);
+            let farther = self.farther::<TIES>(self.found[sibling], self.found[child]);
+            child = if farther { sibling } else { child };
+            if !self.farther::<TIES>(self.found[child], moving) {
                 break;
             }
             self.found[root] = self.found[child];
             root = child;
+            child = 2 * root + 1;
         }
         self.found[root] = moving;
     }
@@ -308,11 +353,6 @@ fn photon(tree: &[PhotonRecord], found: Found) -> &PhotonRecord {
 fn offset(photon: &PhotonRecord, point: &[f32; 3]) -> (usize, f32) {
     let axis = usize::from(photon.flags & PHOTON_AXIS_MASK).min(2);
     (axis, point[axis] - f32::from_bits(photon.position_bits[axis]))
-}
-
-#[inline]
-fn in_front(photon: &PhotonRecord, point: &[f32; 3]) -> bool {
-    offset(photon, point).1 > 0.0
 }
 
 /// An octahedral code ([`enf_layout::octahedral`]) as a vector along it, not of unit length: integers

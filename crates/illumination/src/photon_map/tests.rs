@@ -79,7 +79,8 @@ fn brute_force(
             Kernel::Epanechnikov => (1.0 - d * d / r / r, 0.5),
         };
         for (sum, flux) in rgb.iter_mut().zip(p.flux_w()) {
-            *sum += f64::from(flux) * weight / (std::f64::consts::PI * r * r * volume);
+            *sum +=
+                f64::from(flux) * f64::max(weight, 0.0) / (std::f64::consts::PI * r * r * volume);
         }
     }
     (rgb, number, radius)
@@ -228,6 +229,39 @@ fn one_photon_by_hand() {
     assert_eq!(e(5.0, Kernel::Constant).radius, 2.0);
     for bad in [0.0, -1.0, f32::NAN] {
         assert_eq!(e(bad, Kernel::Constant), Irradiance::default());
+    }
+}
+
+/// Photons on a circle are all the k-th nearest at once: which of them gives the disc, and which are
+/// left out, goes by their bytes, whether any was left out or not.
+#[test]
+fn ties_at_the_kth_distance_go_by_the_bytes() {
+    let around = [[0.3, 0.4], [0.4, 0.3], [-0.3, 0.4], [0.4, -0.3], [-0.4, -0.3], [-0.3, -0.4]];
+    let mut photons: Vec<_> = around
+        .iter()
+        .enumerate()
+        .map(|(i, xy)| {
+            let flux = [(1 << i) as f32, 0.0, 1.0];
+            impact(Vec3::new(xy[0], xy[1], 0.0), -Vec3::Z, Vec3::Z, flux)
+        })
+        .collect();
+    let same = |photons: &[PhotonRecord], k| {
+        let gather = Gather { photons: k, radius: 1.0, kernel: Kernel::Constant };
+        let e = ask(&blob(photons, 1.0), Vec3::ZERO, Vec3::Z, &gather, &PortalSet::none());
+        let (rgb, number, radius) =
+            brute_force(photons, Vec3::ZERO, Vec3::Z, &gather, &PortalSet::none());
+        assert_eq!((e.photons, e.radius), (number, radius));
+        assert!((f64::from(e.rgb[0]) - rgb[0]).abs() <= 1e-6 * rgb[0], "{k}: {e:?} {rgb:?}");
+    };
+    for k in 2..8 {
+        same(&photons, k);
+    }
+    // And with some that are nearer.
+    for i in 0..4 {
+        photons.push(impact(Vec3::new(0.01 * i as f32, 0.0, 0.0), -Vec3::Z, Vec3::Z, [0.5; 3]));
+        for k in 2..12 {
+            same(&photons, k);
+        }
     }
 }
 

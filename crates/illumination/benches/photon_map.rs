@@ -1,0 +1,118 @@
+//! Photons balanced and gathers answered per second, on one thread, in a furnished box.
+//!
+//! `cargo bench -p enf-illumination --bench photon_map [-- PHOTONS THREADS]`
+
+use std::time::Instant;
+
+use enf_illumination::photon_map::*;
+use enf_layout::octahedral;
+use enf_layout::photon::PhotonRecord;
+use enf_layout::rgbe;
+use glam::Vec3;
+
+struct Random(u64);
+
+impl Random {
+    fn next(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
+    }
+}
+
+/// Impacts on the inside of a room of 6 x 5 x 3 m and on the outside of 20 boxes in it.
+fn impacts(n: usize) -> Vec<PhotonRecord> {
+    let mut r = Random(1);
+    let mut boxes = vec![(Vec3::ZERO, Vec3::new(6.0, 5.0, 3.0), 1.0)];
+    for _ in 0..20 {
+        let low = Vec3::new(r.next() * 5.0, r.next() * 4.0, r.next() * 0.5);
+        boxes.push((low, Vec3::new(r.next(), r.next(), r.next()) * 0.9 + 0.1, -1.0));
+    }
+    (0..n)
+        .map(|_| {
+            let number = (r.next() * 40.0) as usize;
+            let (low, size, inward) = boxes[if number < boxes.len() { number } else { 0 }];
+            let mut at = Vec3::new(r.next(), r.next(), r.next());
+            let side = (r.next() * 6.0) as usize;
+            let mut normal = Vec3::ZERO;
+            at[side % 3] = if side >= 3 { 1.0 } else { 0.0 };
+            normal[side % 3] = if side >= 3 { -inward } else { inward };
+            let spread = Vec3::new(r.next() - 0.5, r.next() - 0.5, r.next() - 0.5);
+            let flux = rgbe::encode([r.next(), r.next(), r.next()], [0.5; 3]);
+            PhotonRecord {
+                position_bits: (low + at * size).to_array().map(f32::to_bits),
+                flux,
+                directions: PhotonRecord::pack_directions(
+                    octahedral::encode((spread - normal).normalize().to_array()),
+                    octahedral::encode(normal.to_array()),
+                ),
+                flags: 0,
+            }
+        })
+        .collect()
+}
+
+/// Seconds that this thread was on a processor, where the kernel tells; other work does not count.
+fn busy() -> Option<f64> {
+    let text = std::fs::read_to_string("/proc/thread-self/schedstat").ok()?;
+    Some(text.split_whitespace().next()?.parse::<f64>().ok()? * 1e-9)
+}
+
+/// Seconds of work: of this thread, or by the clock when several share it.
+fn seconds(threads: usize, work: impl FnOnce()) -> f64 {
+    let (clock, start) = (Instant::now(), busy());
+    work();
+    match (start, busy()) {
+        (Some(start), Some(end)) if threads == 1 => end - start,
+        _ => clock.elapsed().as_secs_f64(),
+    }
+}
+
+fn main() {
+    let numbers: Vec<usize> = std::env::args().skip(1).filter_map(|a| a.parse().ok()).collect();
+    let n = numbers.first().copied().unwrap_or(100_000);
+    let threads = numbers.get(1).copied().unwrap_or(1);
+    let photons = impacts(n);
+    let mut best = [f64::INFINITY; 2];
+    let mut tree = photons.clone();
+    let mut scratch = photons.clone();
+    for _ in 0..3 {
+        tree.copy_from_slice(&photons);
+        best[0] = best[0].min(seconds(threads, || build_tree(&mut tree, &mut scratch, threads)));
+        scratch.copy_from_slice(&photons);
+        best[1] = best[1].min(seconds(1, || canonical_sort(&mut scratch)));
+    }
+    let rate = |t: f64| n as f64 / t / 1e6;
+    println!("build_tree      {n} photons, {threads} threads: {:.2} M photons/s", rate(best[0]));
+    println!("canonical_sort  {n} photons: {:.2} M photons/s", rate(best[1]));
+    let blob = PhotonMap::build_blob(&tree, 0, 1.0);
+    let map = PhotonMap::from_blob(&blob).expect("the map was just built");
+    let mut queries = photons;
+    queries.truncate(20_000);
+    let shuffled = queries.clone();
+    let mut ordered: Vec<_> = tree.iter().rev().take(20_000).copied().collect();
+    ordered.truncate(20_000);
+    for k in [50u32, 200] {
+        for kernel in [Kernel::Constant, Kernel::Cone] {
+            for (name, queries) in [("random", &shuffled), ("in order", &ordered)] {
+                let gather = Gather { photons: k, radius: 0.5, kernel };
+                let mut scratch = GatherScratch::new(k);
+                let mut found = 0u64;
+                let t = seconds(1, || {
+                    for q in queries {
+                        let (x, n) = (Vec3::from(q.position()), Vec3::from(q.normal()));
+                        let e = map.irradiance(x, n, &gather, &PortalSet::none(), &mut scratch);
+                        found += u64::from(e.photons);
+                    }
+                });
+                let rate = queries.len() as f64 / t / 1e3;
+                let mean = found as f64 / queries.len() as f64;
+                println!(
+                    "irradiance      k = {k}, {kernel:?}, {name}: {rate:.0} K/s ({mean:.0} found)"
+                );
+            }
+        }
+    }
+}
