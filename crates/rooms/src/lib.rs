@@ -7,10 +7,19 @@
 //! them, leaf by leaf.
 #![forbid(unsafe_code)]
 
+mod cluster;
+mod convex;
 mod error;
+mod merge;
+mod openings;
+mod partition;
+mod probe;
+mod tables;
+mod tree;
 mod walk;
 
 pub use error::RoomsError;
+pub use partition::{Partition, partition};
 pub use walk::{Bsp, Exit, Malformed};
 
 use enf_layout::bsp::{FaceRecord, LeafRecord, NodeRecord, PlaneRecord};

@@ -1,0 +1,159 @@
+//! Walls: triangles that lie in one plane, whatever their winding.
+
+use crate::convex::Plane;
+use glam::DVec3;
+use std::collections::HashMap;
+
+/// Cells per unit of the grid in which normals are alike: about 0.1 degrees.
+const NORMALS: f64 = 512.0;
+/// Planes of less area than this cut nothing, m².
+const LEAST_AREA: f64 = 0.02;
+
+/// Coplanar triangles.
+pub(crate) struct Cluster {
+    pub(crate) plane: Plane,
+}
+
+/// Groups the triangles in planes. Returns the clusters and, for each triangle, its cluster or
+/// `u32::MAX`. Hash maps are only looked up, never iterated: the result depends on the input alone.
+pub(crate) fn cluster(triangles: &[[[f32; 3]; 3]], tolerance: f64) -> (Vec<Cluster>, Vec<u32>) {
+    struct Growing {
+        plane: Plane,
+        normal_sum: DVec3,
+        centre_sum: DVec3,
+        area: f64,
+    }
+    let mut order: Vec<(f32, u32)> = Vec::with_capacity(triangles.len());
+    for (i, t) in triangles.iter().enumerate() {
+        let area = area_vector(t).length() as f32;
+        if area > 1e-7 {
+            order.push((area, i as u32));
+        }
+    }
+    order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+
+    let mut normals: Vec<DVec3> = Vec::new();
+    let mut normal_keys: HashMap<[i32; 3], (u32, bool)> = HashMap::new();
+    let mut offsets: HashMap<(u32, i64), Vec<u32>> = HashMap::new();
+    let mut clusters: Vec<Growing> = Vec::new();
+    let mut of = vec![u32::MAX; triangles.len()];
+    let step = tolerance * 2.0;
+    for &(_, i) in &order {
+        let t = &triangles[i as usize];
+        let vector = area_vector(t);
+        let area = vector.length();
+        let normal = vector / area;
+        let key = (normal * NORMALS).round().to_array().map(|x| x as i32);
+        let (group, flip) = match normal_keys.get(&key) {
+            Some(&known) => known,
+            None => {
+                let found = near(&normal_keys, &normals, key, normal);
+                let (group, flip) = found.unwrap_or_else(|| {
+                    normals.push(normal);
+                    (normals.len() as u32 - 1, false)
+                });
+                normal_keys.insert(key, (group, flip));
+                if found.is_none() {
+                    normal_keys.insert(key.map(|x| -x), (group, !flip));
+                }
+                (group, flip)
+            }
+        };
+        let corners = t.map(point);
+        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let at = (normals[group as usize].dot(centre) / step).round() as i64;
+        let mut best: Option<(f64, u32)> = None;
+        for cell in [at, at - 1, at + 1] {
+            for &c in offsets.get(&(group, cell)).map_or(&[][..], Vec::as_slice) {
+                let plane = &clusters[c as usize].plane;
+                let off = corners.iter().fold(0.0, |m: f64, &p| m.max(plane.distance(p).abs()));
+                if off <= tolerance && best.is_none_or(|b| (off, c) < b) {
+                    best = Some((off, c));
+                }
+            }
+        }
+        let c = best.map_or_else(
+            || {
+                let normal = if flip { -normal } else { normal };
+                let plane = Plane { normal, offset: normal.dot(centre) };
+                clusters.push(Growing {
+                    plane,
+                    normal_sum: DVec3::ZERO,
+                    centre_sum: DVec3::ZERO,
+                    area: 0.0,
+                });
+                let c = clusters.len() as u32 - 1;
+                offsets.entry((group, at)).or_default().push(c);
+                c
+            },
+            |b| b.1,
+        );
+        let grown = &mut clusters[c as usize];
+        let sign = if grown.plane.normal.dot(normal) < 0.0 { -1.0 } else { 1.0 };
+        grown.normal_sum += normal * (sign * area);
+        grown.centre_sum += centre * area;
+        grown.area += area;
+        of[i as usize] = c;
+    }
+    // Keep what is large enough, fit the planes, renumber.
+    let mut renumber = vec![u32::MAX; clusters.len()];
+    let mut kept = Vec::new();
+    for (c, grown) in clusters.iter().enumerate() {
+        if grown.area < LEAST_AREA {
+            continue;
+        }
+        renumber[c] = kept.len() as u32;
+        kept.push(Cluster {
+            plane: fit(&grown.plane, grown.normal_sum, grown.centre_sum / grown.area),
+        });
+    }
+    for c in &mut of {
+        if *c != u32::MAX {
+            *c = renumber[*c as usize];
+        }
+    }
+    (kept, of)
+}
+
+/// The mean plane of a cluster; its normal is exactly an axis if it is one to rounding.
+fn fit(first: &Plane, normal_sum: DVec3, centre: DVec3) -> Plane {
+    let normal = normal_sum / normal_sum.length();
+    let snapped =
+        DVec3::from_array(normal.to_array().map(|x| if x.abs() < 1e-6 { 0.0 } else { x }));
+    let normal = snapped / snapped.length();
+    if !normal.is_finite() {
+        return *first;
+    }
+    Plane { normal, offset: normal.dot(centre) }
+}
+
+fn near(
+    keys: &HashMap<[i32; 3], (u32, bool)>,
+    normals: &[DVec3],
+    key: [i32; 3],
+    normal: DVec3,
+) -> Option<(u32, bool)> {
+    let mut best: Option<(f64, u32, bool)> = None;
+    for k in 0..27 {
+        let d = [k % 3 - 1, k / 3 % 3 - 1, k / 9 - 1];
+        let at = [key[0] + d[0], key[1] + d[1], key[2] + d[2]];
+        if let Some(&(group, _)) = keys.get(&at) {
+            let cos = normals[group as usize].dot(normal);
+            let off = 1.0 - cos.abs();
+            if best.is_none_or(|b| (off, group) < (b.0, b.1)) {
+                best = Some((off, group, cos < 0.0));
+            }
+        }
+    }
+    // 1 - cos(0.17 degrees)
+    best.filter(|b| b.0 < 4.4e-6).map(|b| (b.1, b.2))
+}
+
+pub(crate) fn point(p: [f32; 3]) -> DVec3 {
+    DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))
+}
+
+pub(crate) fn area_vector(t: &[[f32; 3]; 3]) -> DVec3 {
+    let [a, b, c] = t.map(point);
+    (b - a).cross(c - a) * 0.5
+}
