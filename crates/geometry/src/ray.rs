@@ -13,7 +13,7 @@
 //! outline that comes nearest to the ray. A hit that moves is still a hit: the signs let the neighbour
 //! triangle say "not mine", so dropping it would open the very crack that the signs had closed.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4, Vec4Swizzles};
 
 /// A ray in store coordinates. It keeps its origin and direction for its whole flight; `t` grows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -122,20 +122,20 @@ pub(crate) fn intersect_along<const Z: usize>(
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
     let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
-    let project = |p: &[f32; 3]| {
-        let z = p[Z] - ray.origin[Z];
-        [(p[x] - ray.origin[x]) - ray.shear[0] * z, (p[y] - ray.origin[y]) - ray.shear[1] * z]
-    };
-    let [a, b, c] = [project(&corners[0]), project(&corners[1]), project(&corners[2])];
-    let u = c[0] * b[1] - c[1] * b[0];
-    let v = a[0] * c[1] - a[1] * c[0];
-    let w = b[0] * a[1] - b[1] * a[0];
-    let low = u.min(v).min(w);
-    let high = u.max(v).max(w);
-    if low < 0.0 && high > 0.0 {
+    // One lane per corner. Only lane-wise arithmetic, which is the same on every machine.
+    let [a, b, c] = corners;
+    let lanes =
+        |axis: usize| Vec4::new(a[axis], b[axis], c[axis], 0.0) - Vec4::splat(ray.origin[axis]);
+    let z = lanes(Z);
+    let px = lanes(x) - Vec4::splat(ray.shear[0]) * z;
+    let py = lanes(y) - Vec4::splat(ray.shear[1]) * z;
+    let edges = px.zxyw() * py.yzxw() - py.zxyw() * px.yzxw();
+    let negative = edges.cmplt(Vec4::ZERO).bitmask() & 7;
+    let positive = edges.cmpgt(Vec4::ZERO).bitmask() & 7;
+    if negative != 0 && positive != 0 {
         return None;
     }
-    settle::<Z>(ray, corners, [a, b, c], [u, v, w], delta)
+    settle::<Z>(ray, corners, [px, py], edges, delta)
 }
 
 /// The rest of the test for the few triangles whose `f32` edge functions have no two strict signs.
@@ -143,21 +143,21 @@ pub(crate) fn intersect_along<const Z: usize>(
 fn settle<const Z: usize>(
     ray: &PreparedRay,
     corners: &[[f32; 3]; 3],
-    projected: [[f32; 2]; 3],
-    edges: [f32; 3],
+    projected: [Vec4; 2],
+    edges: Vec4,
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    if !ray.valid {
-        return None;
-    }
+    let edges = [edges.x, edges.y, edges.z];
     // NaN has no sign and ends up here.
-    if !edges.iter().all(|e| e.is_finite()) {
+    if !ray.valid || !edges.iter().all(|e| e.is_finite()) {
         return None;
     }
     let mut weights = edges.map(f64::from);
     if edges.contains(&0.0) {
         // Products of two f32 are exact in f64, so these signs are those of the exact differences.
-        weights = edge_functions(projected.map(|p| p.map(f64::from)));
+        let [px, py] = projected;
+        let corner = |i: usize| [f64::from(px[i]), f64::from(py[i])];
+        weights = edge_functions([corner(0), corner(1), corner(2)]);
         if mixed(weights) {
             return None;
         }

@@ -93,18 +93,23 @@ impl<'a> GridView<'a> {
     /// Reads a blob (4-byte aligned) for a mesh of `triangle_count` triangles. Every index in it is
     /// checked, so that a walk never leaves it.
     pub fn from_blob(blob: &'a [u8], triangle_count: u32) -> Result<Self, Malformed> {
+        let grid = Self::from_checked_blob(blob)?;
+        grid.check(triangle_count).map_err(Malformed)?;
+        Ok(grid)
+    }
+
+    /// A blob that [`GridView::from_blob`] has accepted before, without checking each index again.
+    pub fn from_checked_blob(blob: &'a [u8]) -> Result<Self, Malformed> {
         let headers: &[GridHeader] = sections::section(blob, SECTION_HEADER)?;
         let [header] = headers else {
             return Err(Malformed(format!("grid has {} headers", headers.len())));
         };
-        let grid = Self {
+        Ok(Self {
             header,
             bricks: sections::section(blob, SECTION_BRICKS)?,
             starts: sections::section(blob, SECTION_STARTS)?,
             references: sections::section(blob, SECTION_REFERENCES)?,
-        };
-        grid.check(triangle_count).map_err(Malformed)?;
-        Ok(grid)
+        })
     }
 
     fn check(&self, triangle_count: u32) -> Result<(), String> {

@@ -1,0 +1,145 @@
+//! Scenes and rays that are out to get us.
+#![allow(dead_code, missing_docs, unreachable_pub)]
+
+use enf_geometry::{Ray, TileMesh};
+use glam::Vec3;
+
+/// splitmix64
+pub struct Random(pub u64);
+
+impl Random {
+    pub fn bits(&mut self) -> u64 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        z ^ (z >> 31)
+    }
+
+    pub fn below(&mut self, n: usize) -> usize {
+        (self.bits() % n as u64) as usize
+    }
+
+    pub fn unit(&mut self) -> f32 {
+        (self.bits() >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    /// In `[-1, 1)` cubed.
+    pub fn cube(&mut self) -> Vec3 {
+        2.0 * Vec3::new(self.unit(), self.unit(), self.unit()) - 1.0
+    }
+
+    pub fn direction(&mut self) -> Vec3 {
+        loop {
+            let p = self.cube();
+            let square = p.length_squared();
+            if square > 1e-3 && square < 1.0 {
+                return p / square.sqrt();
+            }
+        }
+    }
+}
+
+pub type Corners = [Vec3; 3];
+
+pub fn blob(triangles: &[Corners]) -> Vec<u8> {
+    TileMesh::build_blob(
+        triangles
+            .iter()
+            .enumerate()
+            .map(|(i, t)| (3 * i as u32 + 1, i as u32 % 5, t.map(|p| p.to_array()))),
+    )
+}
+
+/// Triangles in a box of +-`size`: ordinary, tiny, slivers, needles, axis-parallel, coplanar twins, without
+/// area.
+pub fn zoo(random: &mut Random, count: usize, size: f32) -> Vec<Corners> {
+    let mut out: Vec<Corners> = Vec::new();
+    while out.len() < count {
+        let a = size * random.cube();
+        let triangle = match random.below(9) {
+            0 => [a, size * random.cube(), size * random.cube()],
+            1 => [a, a + 0.01 * size * random.cube(), a + 0.01 * size * random.cube()],
+            2 => {
+                let b = size * random.cube();
+                [a, b, 0.5 * (a + b) + 1e-5 * size * random.cube()]
+            }
+            3 => {
+                let b = size * random.cube();
+                [a, b, b + 1e-6 * size * random.cube()]
+            }
+            4 => {
+                let (mut b, mut c) =
+                    (a + 0.2 * size * random.cube(), a + 0.2 * size * random.cube());
+                let axis = random.below(3);
+                b[axis] = a[axis];
+                c[axis] = a[axis];
+                [a, b, c]
+            }
+            5 if !out.is_empty() => out[random.below(out.len())],
+            6 if !out.is_empty() => {
+                // Shares an edge with another.
+                let [p, q, _] = out[random.below(out.len())];
+                [q, p, p + 0.3 * size * random.cube()]
+            }
+            7 => [a, a, size * random.cube()],
+            _ => [a, a + 0.2 * size * random.cube(), a + 0.2 * size * random.cube()],
+        };
+        out.push(triangle);
+    }
+    out
+}
+
+/// A ray: anywhere, axis-parallel, aimed at a vertex, an edge or along a triangle's plane, from inside or
+/// outside.
+pub fn ray(random: &mut Random, triangles: &[Corners], size: f32) -> Ray {
+    let reach = if random.below(4) == 0 { 4.0 } else { 1.0 };
+    let mut origin = reach * size * random.cube();
+    let [a, b, c] = triangles[random.below(triangles.len())];
+    let s = random.unit();
+    let edge = a + s * (b - a);
+    let toward = |p: Vec3, o: Vec3| (p - o).try_normalize().unwrap_or(Vec3::X);
+    let direction = match random.below(7) {
+        0 => toward(a, origin),
+        1 => toward(edge, origin),
+        2 => {
+            // In the plane, or nearly so.
+            origin = edge + 2.0 * (c - b) + 1e-6 * size * random.cube();
+            toward(c + random.unit() * (a - c), origin)
+        }
+        3 => {
+            let mut d = Vec3::ZERO;
+            d[random.below(3)] = if random.below(2) == 0 { 1.0 } else { -1.0 };
+            let target = if random.below(2) == 0 { a } else { edge };
+            for i in 0..3 {
+                if d[i] == 0.0 {
+                    origin[i] = target[i];
+                }
+            }
+            d
+        }
+        4 => {
+            let mut d = random.direction();
+            d[random.below(3)] = if random.below(2) == 0 { 0.0 } else { 1e-30 };
+            d.normalize()
+        }
+        5 => {
+            origin = edge;
+            random.direction()
+        }
+        _ => random.direction(),
+    };
+    Ray { origin, direction }
+}
+
+/// `2^-19` of the next power of two.
+pub fn delta(size: f32) -> f32 {
+    let mut m = 1.0;
+    while m < 3.5 * size {
+        m *= 2.0;
+    }
+    while m > 7.0 * size {
+        m *= 0.5;
+    }
+    m / (1 << 19) as f32
+}
