@@ -72,12 +72,14 @@ impl<'a> TileMesh<'a> {
 
     /// Corners of triangle `i` of the tile, m.
     pub fn corners(&self, i: u32) -> [Vec3; 3] {
-        self.corner_arrays(i).map(Vec3::from_array)
+        self.corner_arrays(i).map(|&p| Vec3::from_array(p))
     }
 
     #[inline(always)]
-    pub(crate) fn corner_arrays(&self, i: u32) -> [[f32; 3]; 3] {
-        self.triangles[i as usize].map(|v| self.vertices[v as usize])
+    pub(crate) fn corner_arrays(&self, i: u32) -> [&'a [f32; 3]; 3] {
+        let [a, b, c] = self.triangles[i as usize];
+        let vertices = self.vertices;
+        [&vertices[a as usize], &vertices[b as usize], &vertices[c as usize]]
     }
 
     /// Unit normal of triangle `i`, towards the side from which it is counter-clockwise; zero for a

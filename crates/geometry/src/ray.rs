@@ -105,11 +105,11 @@ pub fn intersect(
     c: Vec3,
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let corners = [a.to_array(), b.to_array(), c.to_array()];
+    let (a, b, c) = (a.to_array(), b.to_array(), c.to_array());
     match ray.axis {
-        0 => intersect_along::<0>(ray, &corners, delta),
-        1 => intersect_along::<1>(ray, &corners, delta),
-        _ => intersect_along::<2>(ray, &corners, delta),
+        0 => intersect_along::<0>(ray, [&a, &b, &c], delta),
+        1 => intersect_along::<1>(ray, [&a, &b, &c], delta),
+        _ => intersect_along::<2>(ray, [&a, &b, &c], delta),
     }
 }
 
@@ -118,7 +118,7 @@ pub fn intersect(
 #[inline(always)]
 pub(crate) fn intersect_along<const Z: usize>(
     ray: &PreparedRay,
-    corners: &[[f32; 3]; 3],
+    corners: [&[f32; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
     let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
@@ -142,7 +142,7 @@ pub(crate) fn intersect_along<const Z: usize>(
 #[inline(never)]
 fn settle<const Z: usize>(
     ray: &PreparedRay,
-    corners: &[[f32; 3]; 3],
+    corners: [&[f32; 3]; 3],
     projected: [Vec4; 2],
     edges: Vec4,
     delta: f32,

@@ -4,8 +4,9 @@ use super::{BRICK, GridView};
 use crate::mesh::TileMesh;
 use crate::ray::{Hit, PreparedRay, intersect_along};
 
-/// Triangles that were tested last, and need no second test.
-const MAILBOXES: usize = 8;
+/// Mailboxes (Amanatides and Woo 1987), few enough to clear for each ray: one holds the last triangle that
+/// was tested among those that share it.
+const MAILBOXES: usize = 64;
 
 /// Origins farther out than this many tolerances are beyond what the walk's arithmetic can vouch for.
 const FAR: f64 = (1u64 << 44) as f64;
@@ -24,7 +25,7 @@ impl Query<'_> {
     #[inline(always)]
     fn test<const Z: usize>(&mut self, ray: &PreparedRay, triangle: u32) {
         let corners = self.mesh.corner_arrays(triangle);
-        if let Some((t, u, v)) = intersect_along::<Z>(ray, &corners, self.delta) {
+        if let Some((t, u, v)) = intersect_along::<Z>(ray, corners, self.delta) {
             self.offer(triangle, t, u, v);
         }
     }
@@ -167,7 +168,6 @@ impl GridView<'_> {
         }
         let mut index = ((brick[2] * ny + brick[1]) * nx + brick[0]) as usize;
         let mut mailboxes = [u32::MAX; MAILBOXES];
-        let mut mail = 0;
         loop {
             let record = self.bricks[index];
             let mask = record.mask();
@@ -191,11 +191,11 @@ impl GridView<'_> {
                         let cell = (record.first + below.count_ones()) as usize;
                         let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
                         for &triangle in &self.references[range] {
-                            if mailboxes.contains(&triangle) {
+                            let mailbox = &mut mailboxes[triangle as usize % MAILBOXES];
+                            if *mailbox == triangle {
                                 continue;
                             }
-                            mailboxes[mail % MAILBOXES] = triangle;
-                            mail += 1;
+                            *mailbox = triangle;
                             query.test::<Z>(ray, triangle);
                         }
                         if f64::from(query.best.t) < end {
