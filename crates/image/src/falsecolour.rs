@@ -34,7 +34,7 @@ fn viridis(share: f32) -> [u8; 3] {
 }
 
 /// Writes a picture's luminance in cd/m² (179 lm/W) as falsecolour PNG, a legend on its right.
-/// Without `max_cd_m2` the scale ends at a round number that one pixel in fifty exceeds, lamps
+/// Without `max_cd_m2` the scale ends at a round number that at most one pixel in twenty exceeds, lamps
 /// left out. The file appears complete or not at all.
 pub fn falsecolour_png(
     path: &Path,
@@ -60,7 +60,7 @@ pub fn falsecolour_png_from(
                 meter.add(band);
                 Ok(())
             })?;
-            round_up(bright_luminance(&meter, 0.02).unwrap_or(1.0) * LUMENS_PER_WATT)
+            round_up(bright_luminance(&meter, 0.05).unwrap_or(1.0) * LUMENS_PER_WATT)
         }
     };
     let chart = Chart::new(width, height, max, "cd/m²");
@@ -82,7 +82,7 @@ pub fn falsecolour_png_from(
 
 /// Writes any grid of values (illuminance in lux on a work plane, say) as falsecolour PNG, rows
 /// from the top; NaN is "no value" and black. `unit` stands above the legend. Without `max` the
-/// scale ends at a round number that one value in fifty exceeds.
+/// scale ends at a round number that at most one value in fifty exceeds.
 pub fn falsecolour_map_png(
     path: &Path,
     width: u32,

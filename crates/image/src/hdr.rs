@@ -14,7 +14,7 @@ const MIN_RUN: usize = 4;
 const RLE_WIDTHS: std::ops::RangeInclusive<u32> = 8..=0x7fff;
 
 /// Writes a picture's radiance (direct + indirect, W/m²/sr) as Radiance HDR. What is negative or
-/// no number becomes 0; each channel is within 1/256 of the largest of its pixel. The file appears
+/// no number becomes 0; each channel is within 1/256 of the largest of its pixel as Radiance reads it. The file appears
 /// complete or not at all.
 pub fn write_hdr(path: &Path, picture: &Picture) -> Result<(), ImageError> {
     write_hdr_from(path, &mut picture.checked(path)?)

@@ -41,7 +41,9 @@ pub fn tone_map(rgb: [f32; 3], exposure: f32) -> [f32; 3] {
     let after = filmic(before);
     let mapped = rgb.map(|c| c / before * after);
     let largest = mapped[0].max(mapped[1]).max(mapped[2]);
-    let keep = if largest > 1.0 { (1.0 - after) / (largest - after).max(1e-6) } else { 1.0 };
+    // How much saturation a screen could show, and a smooth minimum of that and all of it.
+    let room = (1.0 - after) / (largest - after).max(1e-6);
+    let keep = room / (1.0 + room * room * room * room).sqrt().sqrt();
     mapped.map(|c| (after + (c - after) * keep).clamp(0.0, 1.0))
 }
 
