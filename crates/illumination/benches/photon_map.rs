@@ -100,13 +100,18 @@ fn main() {
                 let gather = Gather { photons: k, radius: 0.5, kernel };
                 let mut scratch = GatherScratch::new(k);
                 let mut found = 0u64;
-                let t = seconds(1, || {
-                    for q in queries {
-                        let (x, n) = (Vec3::from(q.position()), Vec3::from(q.normal()));
-                        let e = map.irradiance(x, n, &gather, &PortalSet::none(), &mut scratch);
-                        found += u64::from(e.photons);
-                    }
-                });
+                let mut t = f64::INFINITY;
+                for _ in 0..5 {
+                    found = 0;
+                    let run = seconds(1, || {
+                        for q in queries {
+                            let (x, n) = (Vec3::from(q.position()), Vec3::from(q.normal()));
+                            let e = map.irradiance(x, n, &gather, &PortalSet::none(), &mut scratch);
+                            found += u64::from(e.photons);
+                        }
+                    });
+                    t = t.min(run);
+                }
                 let rate = queries.len() as f64 / t / 1e3;
                 let mean = found as f64 / queries.len() as f64;
                 println!(

@@ -235,7 +235,7 @@ impl Search<'_> {
 
     #[inline]
     fn consider<const TIES: bool>(&mut self, index: usize, photon: &PhotonRecord) {
-        let way = Vec3::from(photon.position()) - self.point;
+        let way = position(photon) - self.point;
         let d2 = way.length_squared();
         if d2 <= self.farthest2 && self.counts(photon, way, d2) {
             self.keep::<TIES>((u64::from(d2.to_bits()) << 32) | index as u64);
@@ -277,7 +277,7 @@ impl Search<'_> {
             self.portals.collect(self.point, self.radius, self.openings);
             self.openings_known = true;
         }
-        let (from, to) = (self.point.as_dvec3(), Vec3::from(photon.position()).as_dvec3());
+        let (from, to) = (self.point.as_dvec3(), position(photon).as_dvec3());
         self.openings.iter().any(|o| o.passes(from, to))
     }
 
@@ -346,6 +346,13 @@ fn distance2(found: Found) -> f32 {
 #[inline]
 fn photon(tree: &[PhotonRecord], found: Found) -> &PhotonRecord {
     &tree[(found & 0xffff_ffff) as usize]
+}
+
+/// [`PhotonRecord::position`], here so that it is inlined: every photon that is looked at comes by.
+#[inline]
+fn position(photon: &PhotonRecord) -> Vec3 {
+    let [x, y, z] = photon.position_bits;
+    Vec3::new(f32::from_bits(x), f32::from_bits(y), f32::from_bits(z))
 }
 
 /// The node's axis, and how far the point is in front of it along that axis.
