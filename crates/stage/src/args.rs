@@ -171,7 +171,7 @@ fn scale(digits: &str, unit: u128) -> Option<(u128, bool)> {
     let parse = |s: &str| if s.is_empty() { Some(0) } else { s.parse::<u128>().ok() };
     let denominator = 10u128.pow(u32::try_from(fraction_digits.len()).ok()?);
     let part = parse(fraction_digits)? * unit;
-    Some((parse(whole_digits)? * unit + part / denominator, part % denominator != 0))
+    Some((parse(whole_digits)? * unit + part / denominator, !part.is_multiple_of(denominator)))
 }
 
 #[cfg(test)]
@@ -202,7 +202,7 @@ mod tests {
             ("2T", 2 << 40),
             ("0000000000000000000000001K", 1024),
             ("18446744073709551615", u64::MAX),
-            ("16777215.99999T", 18446744073698556280),
+            ("16777215.99999T", 18446744073698556499),
         ] {
             assert_eq!(parse_size(text), Ok(bytes), "{text}");
         }

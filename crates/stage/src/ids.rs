@@ -5,6 +5,7 @@
 //! *all rooms*, so that the same command works by hand, from cron and under a batch system.
 
 use std::collections::HashSet;
+use std::fmt;
 use std::io::{self, Write};
 use std::os::fd::{AsFd, BorrowedFd, OwnedFd};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -327,11 +328,11 @@ impl IdSink {
         Self::new(Output::Nowhere)
     }
 
-    /// Prints one id and its line end in a single write. Does nothing once the sink is closed.
+    /// Prints one id (or a picture's path) and its line end in a single write. Does nothing once the sink is closed.
     ///
     /// # Errors
     /// I/O other than a closed pipe, such as a full disk behind a redirection.
-    pub fn print(&self, id: u32) -> Result<()> {
+    pub fn print(&self, id: impl fmt::Display) -> Result<()> {
         if self.closed.load(Ordering::Relaxed) {
             return Ok(());
         }
@@ -438,8 +439,8 @@ mod tests {
 
     #[test]
     fn ids_come_once_in_order() {
-        assert_eq!(ids(b""), []);
-        assert_eq!(ids(b"\n\n"), []);
+        assert!(ids(b"").is_empty());
+        assert!(ids(b"\n\n").is_empty());
         assert_eq!(ids(b"7\n3\n7\n0\n3\n"), [7, 3, 0]);
         assert_eq!(ids(b" 12 \r\n\n4294967295"), [12, u32::MAX]);
         let many: String = (0..20_000).map(|i| format!("{}\n", 20_000 - i)).collect();

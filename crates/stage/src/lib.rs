@@ -16,12 +16,16 @@ pub mod failure;
 pub mod ids;
 pub mod interrupt;
 pub mod memory;
+pub mod ordered;
 pub mod pool;
 pub mod progress;
+pub mod resident;
 pub mod rowtable;
 pub mod scheduler;
+pub mod session;
 pub mod stats;
 pub mod store;
+pub mod tables;
 pub mod timeline;
 
 pub use args::{CommonArgs, ProgressMode, parse_count, parse_size};

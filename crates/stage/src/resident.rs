@@ -73,7 +73,7 @@ impl TileReader<'_> {
         let mesh = self.partition.read(geometry, self.budget, "mesh of a tile")?;
         let extent = self.grid.single(ExtentKind::Grid, tile)?;
         let grid = self.grid.read(extent, self.budget, "grid of a tile")?;
-        let triangles = TileMesh::from_blob(&mesh)?.triangles.len();
+        let triangles = TileMesh::from_blob(&mesh)?.len();
         GridView::from_blob(&grid, triangles)?;
         Ok(TileData { tile, mesh, grid })
     }

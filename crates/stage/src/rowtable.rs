@@ -15,6 +15,9 @@ use std::vec::Drain;
 /// No row: the end of the list of used rows.
 const NO_ROW: usize = usize::MAX;
 
+/// Takes records that leave the table for the disk: the id, and its records from the oldest on.
+pub type Spill<'a, T, E> = dyn FnMut(u32, &[T]) -> Result<(), E> + 'a;
+
 /// A bounded table of rows of records, one row per id, replaced in least-recently-used order.
 ///
 /// Within an id, records leave in the order in which they came: first to `spill`, then to
@@ -85,7 +88,7 @@ impl<T: Copy> RowTable<T> {
         &mut self,
         id: u32,
         mut records: &[T],
-        spill: &mut dyn FnMut(u32, &[T]) -> Result<(), E>,
+        spill: &mut Spill<'_, T, E>,
     ) -> Result<(), E> {
         while !records.is_empty() {
             let Some(row) = self.row_of.get(&id).copied() else {
@@ -126,10 +129,7 @@ impl<T: Copy> RowTable<T> {
     ///
     /// # Errors
     /// What `spill` says; rows that it has not accepted are kept.
-    pub fn flush_all<E>(
-        &mut self,
-        spill: &mut dyn FnMut(u32, &[T]) -> Result<(), E>,
-    ) -> Result<(), E> {
+    pub fn flush_all<E>(&mut self, spill: &mut Spill<'_, T, E>) -> Result<(), E> {
         let mut used = Vec::new();
         let mut row = self.oldest;
         while row != NO_ROW {
@@ -171,11 +171,7 @@ impl<T: Copy> RowTable<T> {
     }
 
     /// Gives `id` an empty row, as the newest.
-    fn open<E>(
-        &mut self,
-        id: u32,
-        spill: &mut dyn FnMut(u32, &[T]) -> Result<(), E>,
-    ) -> Result<(), E> {
+    fn open<E>(&mut self, id: u32, spill: &mut Spill<'_, T, E>) -> Result<(), E> {
         if self.free.is_empty() && self.opened == self.limit {
             self.spill_row(self.oldest, spill)?;
             self.evictions += 1;
@@ -193,11 +189,7 @@ impl<T: Copy> RowTable<T> {
     }
 
     /// Hands a row to `spill` and frees it.
-    fn spill_row<E>(
-        &mut self,
-        row: usize,
-        spill: &mut dyn FnMut(u32, &[T]) -> Result<(), E>,
-    ) -> Result<(), E> {
+    fn spill_row<E>(&mut self, row: usize, spill: &mut Spill<'_, T, E>) -> Result<(), E> {
         let Row { id, records, .. } = &self.rows[row];
         spill(*id, records)?;
         let (id, n) = (*id, records.len());

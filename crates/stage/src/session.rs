@@ -1,14 +1,18 @@
 //! One run of one stage: its budget, its timeline, and the answer to "was this done already?".
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use enf_layout::segment::StageKind;
 use enf_store::{
     Identity, MemoryBudget, Reservation, StageState, StageWriter, StoreDir, StoreError,
 };
 
+use parking_lot::Mutex;
+
 use crate::args::CommonArgs;
-use crate::ids::Selection;
+use crate::ids::{IdSink, Selection};
+use crate::interrupt;
+use crate::ordered::Continue;
 use crate::failure::{Failure, Result};
 use crate::stats::Stats;
 use crate::tables::Tables;
@@ -28,6 +32,29 @@ pub struct Session {
     _process: Reservation,
 }
 
+/// The timeline that all sessions of this process draw on, when one command runs several stages.
+static SHARED: Mutex<Option<Timeline>> = Mutex::new(None);
+
+/// Opens one timeline for all stages that this process is about to run.
+///
+/// # Errors
+/// Exit 5 when the file cannot be written.
+pub fn share_timeline(common: &CommonArgs) -> Result<()> {
+    *SHARED.lock() = Some(Timeline::new(common.trace.clone())?);
+    Ok(())
+}
+
+/// Completes the shared timeline.
+///
+/// # Errors
+/// Exit 5 when the file cannot be written.
+pub fn end_timeline() -> Result<()> {
+    match SHARED.lock().take() {
+        Some(timeline) => timeline.finish(),
+        None => Ok(()),
+    }
+}
+
 impl Session {
     /// Opens the session of a stage. The process's own code and stacks are in the budget as well.
     ///
@@ -38,7 +65,10 @@ impl Session {
         let (budget, process) = crate::memory_budget(common)?;
         Ok(Self {
             budget,
-            timeline: Timeline::new(common.trace.clone())?,
+            timeline: match &*SHARED.lock() {
+                Some(shared) => shared.clone(),
+                None => Timeline::new(common.trace.clone())?,
+            },
             started: Instant::now(),
             stats,
             _process: process,
@@ -52,7 +82,9 @@ impl Session {
     pub fn finish(mut self, common: &CommonArgs, stage: &str, store: &StoreDir) -> Result<serde_json::Value> {
         self.stats.set_budget(&self.budget);
         self.stats.set_io(store.io(), enf_store::IoCounters::default());
-        self.timeline.finish()?;
+        if SHARED.lock().is_none() {
+            self.timeline.finish()?;
+        }
         self.stats.finish(common, stage, self.started)
     }
 }
@@ -170,3 +202,59 @@ pub fn too_small(
     ))
 }
 
+
+/// Rooms are announced, and work is durable, about this often.
+const ANNOUNCE_EVERY: Duration = Duration::from_millis(400);
+
+/// Prints room ids in the order in which they were asked for, each after a commit that covers it.
+pub struct Announcer<'a> {
+    rooms: &'a [u32],
+    out: &'a IdSink,
+    announced: usize,
+    last: Instant,
+}
+
+impl<'a> Announcer<'a> {
+    /// An announcer of these rooms.
+    pub fn new(rooms: &'a [u32], out: &'a IdSink) -> Self {
+        Self { rooms, out, announced: 0, last: Instant::now() }
+    }
+
+    /// To be called when something was appended: commits and announces now and then, and ends the work when
+    /// someone interrupts it or stops listening.
+    ///
+    /// # Errors
+    /// Exit 5 when the commit fails; exit 130 or 143 when interrupted.
+    pub fn step(
+        &mut self,
+        writer: &mut StageWriter,
+        done: &dyn Fn(u32) -> bool,
+    ) -> Result<Continue> {
+        let signal = interrupt::interrupted();
+        if self.last.elapsed() > ANNOUNCE_EVERY || signal.is_some() || self.out.closed() {
+            self.end(writer, done)?;
+        }
+        match signal {
+            Some(signal) => Err(Failure::interrupted(signal)),
+            None if self.out.closed() => Ok(Continue::No),
+            None => Ok(Continue::Yes),
+        }
+    }
+
+    /// Commits, and announces what is done.
+    ///
+    /// # Errors
+    /// Exit 5 when the commit fails.
+    pub fn end(&mut self, writer: &mut StageWriter, done: &dyn Fn(u32) -> bool) -> Result<()> {
+        writer.commit()?;
+        self.last = Instant::now();
+        while let Some(&room) = self.rooms.get(self.announced)
+            && done(room)
+            && !self.out.closed()
+        {
+            self.out.print(room)?;
+            self.announced += 1;
+        }
+        Ok(())
+    }
+}

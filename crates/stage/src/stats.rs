@@ -60,6 +60,25 @@ impl Stats {
         keys.try_fold(first, |value, key| value.get(key))
     }
 
+    /// Takes over what a stage of a run reported: bytes and records add up, everything else is kept from the
+    /// first stage that says it.
+    pub fn merge(&mut self, stage: &Value) {
+        const SUMS: [&str; 4] =
+            ["io.read_bytes", "io.written_bytes", "io.inflated_bytes", "io.spilled_records"];
+        let mut leaves = Vec::new();
+        flatten("", stage, &mut leaves);
+        for (key, value) in leaves {
+            match self.get(&key) {
+                Some(before) if SUMS.contains(&key.as_str()) => {
+                    let sum = before.as_u64().unwrap_or(0) + value.as_u64().unwrap_or(0);
+                    self.set(&key, sum);
+                }
+                Some(_) => {}
+                None => self.set(&key, value.clone()),
+            }
+        }
+    }
+
     /// Fills in what every stage reports, writes the object to `--stats` if that was given, and
     /// gives it back (the driver makes its list `stages` of these).
     ///
@@ -82,6 +101,19 @@ impl Stats {
             write(path, &format!("{value:#}\n"))?;
         }
         Ok(value)
+    }
+}
+
+/// The leaves of nested objects, by dotted key.
+fn flatten<'a>(prefix: &str, value: &'a Value, out: &mut Vec<(String, &'a Value)>) {
+    match value {
+        Value::Object(map) => {
+            for (key, value) in map {
+                let key = if prefix.is_empty() { key.clone() } else { format!("{prefix}.{key}") };
+                flatten(&key, value, out);
+            }
+        }
+        leaf => out.push((prefix.to_string(), leaf)),
     }
 }
 

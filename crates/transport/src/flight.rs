@@ -42,6 +42,8 @@ pub enum Flight {
         /// Distance at which it enters, m.
         t: f32,
     },
+    /// The end of the flight was reached before anything was hit.
+    Reached,
     /// The ray left the scene's bound out of a leaf.
     Escapes {
         /// Its last leaf.
@@ -67,7 +69,7 @@ pub struct Surface {
     pub material: u32,
 }
 
-/// Flies `record` from (`record.leaf`, `record.t`) on. `crossed(from, to)` is told of every change of leaf, the
+/// Flies `record` from (`record.leaf`, `record.t`) on, at most to distance `end`. `crossed(from, to)` is told of every change of leaf, the
 /// last one (out of the tile) included.
 ///
 /// The nearest hit in the tile's triangles is asked for once; the walk then decides whether the ray gets that
@@ -77,6 +79,7 @@ pub fn fly(
     tile: &Resident<'_>,
     record: &TransitRecord,
     prepared: &PreparedRay,
+    end: f32,
     mut crossed: impl FnMut(u32, u32),
 ) -> Flight {
     let origin: DVec3 = Vec3::from(record.origin).as_dvec3();
@@ -85,7 +88,7 @@ pub fn fly(
         tile.mesh,
         prepared,
         record.t,
-        f32::INFINITY,
+        end,
         record.last_triangle,
         tile.delta,
     );
@@ -100,6 +103,9 @@ pub fn fly(
         }
         if exit.t_exit == f32::INFINITY {
             return Flight::Escapes { leaf };
+        }
+        if exit.t_exit >= end {
+            return Flight::Reached;
         }
         t = exit.t_exit;
         let Some(next) = tile.bsp.cross(exit.face, origin, direction, t) else {

@@ -17,8 +17,8 @@ use crate::scatter::{self, Event};
 
 /// Receives what photons do (the *deposit* and *cross* seams).
 pub trait Sink {
-    /// An impact in `room`.
-    fn impact(&mut self, room: u32, photon: PhotonRecord);
+    /// An impact in `room` of a photon of `light`.
+    fn impact(&mut self, room: u32, light: u32, photon: PhotonRecord);
     /// The photon waits at another tile.
     fn park(&mut self, tile: u32, record: TransitRecord);
     /// A change of room in mid-flight.
@@ -40,7 +40,7 @@ pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &m
     let probe = record.flags & TRANSIT_PROBE != 0;
     let mut prepared = flight::prepare(&record);
     loop {
-        let end = flight::fly(tile, &record, &prepared, |from, to| {
+        let end = flight::fly(tile, &record, &prepared, f32::INFINITY, |from, to| {
             let (from, to) = (room_of(from), room_of(to));
             if from != to && !probe {
                 sink.passage(from, to, &record);
@@ -58,6 +58,8 @@ pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &m
                 }
                 return;
             }
+            // There is no end to reach.
+            Flight::Reached => return,
             Flight::Hit { hit, leaf } => {
                 record.leaf = leaf;
                 hit
@@ -82,7 +84,7 @@ pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &m
         let flux = Vec3::from(record.flux);
         let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
         if scatter::stores_impacts(material) {
-            sink.impact(room, stored(seed, &record, &surface, flux));
+            sink.impact(room, record.light, stored(seed, &record, &surface, flux));
             record.impacts = record.impacts.saturating_add(1);
         }
         let u = rng::uniforms(

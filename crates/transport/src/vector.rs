@@ -37,6 +37,11 @@ pub fn triangle(u1: f32, u2: f32) -> (f32, f32) {
     (root * (1.0 - u2), root * u2)
 }
 
+/// The top 24 bits of a 32-bit fraction as a number in `[0, 1)`.
+pub fn fraction(bits: u32) -> f32 {
+    crate::rng::unit(bits)
+}
+
 /// Luminous weight of linear Rec.709: 0.2126 R + 0.7152 G + 0.0722 B.
 pub fn luminance(rgb: Vec3) -> f32 {
     0.2126 * rgb.x + 0.7152 * rgb.y + 0.0722 * rgb.z

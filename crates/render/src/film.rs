@@ -1,0 +1,104 @@
+//! Developing: finished bands become picture files, a few rows at a time.
+
+use std::path::{Path, PathBuf};
+
+use enf_image::{Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from};
+use enf_layout::film::PixelRecord;
+use enf_layout::segment::{ExtentKind, StageKind};
+use enf_stage::{Failure, Result};
+use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
+
+use crate::{BAND_PIXELS, View};
+
+/// A view's rows, read from the bands of the store.
+struct FilmRows<'a> {
+    reader: &'a StageReader,
+    budget: &'a MemoryBudget,
+    width: u32,
+    height: u32,
+    first_pixel: u32,
+    /// The band read last.
+    band: Option<(u32, Buffer)>,
+}
+
+impl Rows for FilmRows<'_> {
+    fn width(&self) -> u32 {
+        self.width
+    }
+
+    fn height(&self) -> u32 {
+        self.height
+    }
+
+    fn read(&mut self, first_row: u32, out: &mut [PixelRecord]) -> std::result::Result<(), RowsError> {
+        let mut pixel = self.first_pixel + first_row * self.width;
+        let mut out = out;
+        while !out.is_empty() {
+            let band = pixel / BAND_PIXELS;
+            if self.band.as_ref().is_none_or(|b| b.0 != band) {
+                self.band = None;
+                let extent = self.reader.single(ExtentKind::Film, band)?;
+                self.band = Some((band, self.reader.read(extent, self.budget, "film")?));
+            }
+            let Some((_, buffer)) = &self.band else { break };
+            let records = buffer.as_slice_of::<PixelRecord>().map_err(StoreError::from)?;
+            let from = (pixel % BAND_PIXELS) as usize;
+            let count = out.len().min(records.len().saturating_sub(from));
+            if count == 0 {
+                return Err("a band of the film is too short".into());
+            }
+            let (now, later) = out.split_at_mut(count);
+            now.copy_from_slice(&records[from..from + count]);
+            pixel += count as u32;
+            out = later;
+        }
+        Ok(())
+    }
+}
+
+/// Writes the files of every view.
+pub(crate) fn develop(
+    store: &StoreDir,
+    budget: &MemoryBudget,
+    views: &[View],
+    pictures: &[Vec<PathBuf>],
+    exposure: Option<f32>,
+) -> Result<()> {
+    let reader = StageReader::open(store, StageKind::Render)?;
+    let mut first_pixel = 0;
+    for (view, files) in views.iter().zip(pictures) {
+        let _scratch =
+            budget.reserve(enf_image::scratch_bytes(view.camera.width) as u64, "picture writers")?;
+        let mut rows = FilmRows {
+            reader: &reader,
+            budget,
+            width: view.camera.width,
+            height: view.camera.height,
+            first_pixel,
+            band: None,
+        };
+        for file in files {
+            write(file, &mut rows, exposure).map_err(|e| Failure::io(e.to_string()))?;
+        }
+        first_pixel += view.camera.pixels();
+    }
+    Ok(())
+}
+
+fn write(
+    file: &Path,
+    rows: &mut FilmRows<'_>,
+    exposure: Option<f32>,
+) -> std::result::Result<(), enf_image::ImageError> {
+    match file.extension().and_then(|e| e.to_str()) {
+        Some("exr") => write_exr_from(file, rows),
+        Some("hdr") => write_hdr_from(file, rows),
+        _ => {
+            let exposure = match exposure {
+                Some(factor) => factor,
+                None => exposure_from(file, rows)?,
+            };
+            write_png_from(file, rows, exposure)
+        }
+    }
+}

@@ -1,0 +1,502 @@
+//! What a rendering thread does: camera rays look, shadow rays ask, and the film adds up.
+//!
+//! Radiance at a diffuse surface is emitted + direct (shadow rays to lights chosen by importance) + indirect
+//! (the photon map of the point's room: Jensen 2001, chapter 7; the paper, section 6). Mirrors and panes send
+//! the camera ray on.
+
+use std::ops::Range;
+use std::sync::Arc;
+
+use enf_illumination::{Gather, GatherScratch, PhotonMap, PortalSet};
+use enf_image::Film;
+use enf_layout::NONE;
+use enf_layout::light::{LIGHT_AREA, LightRecord};
+use enf_layout::sections::Malformed;
+use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_SHADOW, TransitRecord};
+use enf_rooms::Bsp;
+use enf_stage::resident::TileData;
+use enf_stage::tables::Tables;
+use enf_store::{Buffer, Mapped};
+use enf_transport::emission;
+use enf_transport::flight::{self, Flight, Resident, Surface};
+use enf_transport::rng::{self, Purpose};
+use enf_transport::scatter::{self, Lobes};
+use enf_transport::vector;
+use glam::Vec3;
+
+use crate::camera::{self, View};
+
+/// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
+const GLOBAL_SHARE: f32 = 0.02;
+
+/// What a room answers with: its photon map, and the lights that it sees.
+pub(crate) struct RoomLight {
+    pub(crate) map: Option<Mapped>,
+    pub(crate) lights: Vec<u32>,
+}
+
+/// Rays that wait, in memory or read back.
+pub(crate) enum Waiting {
+    Memory(Vec<TransitRecord>),
+    Log(Buffer),
+}
+
+impl Waiting {
+    pub(crate) fn records(&self) -> &[TransitRecord] {
+        match self {
+            Self::Memory(records) => records,
+            Self::Log(buffer) => buffer.as_slice_of::<TransitRecord>().unwrap_or(&[]),
+        }
+    }
+}
+
+/// What a job is made of.
+pub(crate) enum Work {
+    /// New camera rays: samples `indices` of the band, pixel by pixel.
+    Camera { indices: Range<u64> },
+    /// Rays that came from another tile.
+    Waiting { records: Arc<Waiting>, range: Range<usize> },
+}
+
+/// A piece of a visit.
+pub(crate) struct Job {
+    pub(crate) tile: Arc<TileData>,
+    pub(crate) light: Arc<RoomLight>,
+    pub(crate) film: Arc<Film>,
+    /// First pixel of the band.
+    pub(crate) first_pixel: u32,
+    pub(crate) work: Work,
+}
+
+/// What came of a job.
+#[derive(Default)]
+pub(crate) struct Products {
+    pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
+    pub(crate) camera: u64,
+    pub(crate) shadow: u64,
+    pub(crate) gathers: u64,
+}
+
+impl Products {
+    fn park(&mut self, tile: u32, record: TransitRecord) {
+        match self.parked.iter_mut().rfind(|lane| lane.0 == tile) {
+            Some(lane) => lane.1.push(record),
+            None => self.parked.push((tile, vec![record])),
+        }
+    }
+}
+
+/// What every job needs to know.
+pub(crate) struct Context<'a> {
+    pub(crate) tables: &'a Tables,
+    pub(crate) bsp: Bsp<'a>,
+    pub(crate) views: &'a [View],
+    /// First pixel of each view, and the end.
+    pub(crate) first_pixels: &'a [u32],
+    pub(crate) seed: u64,
+    pub(crate) samples: u32,
+    pub(crate) light_samples: u32,
+    pub(crate) gather: Gather,
+    pub(crate) indirect: bool,
+    /// Sums of the lights' powers, normalised to 1.
+    pub(crate) power: &'a [f64],
+}
+
+/// One thread's working memory.
+pub(crate) struct Scratch {
+    gather: GatherScratch,
+    weights: Vec<f32>,
+}
+
+impl Scratch {
+    pub(crate) fn new(photons: u32) -> Self {
+        Self { gather: GatherScratch::new(photons), weights: Vec::new() }
+    }
+}
+
+/// A job at work.
+struct Shader<'a> {
+    context: &'a Context<'a>,
+    tile: Resident<'a>,
+    room: u32,
+    map: Option<PhotonMap<'a>>,
+    portals: PortalSet<'a>,
+    lights: &'a [u32],
+    film: &'a Film,
+    first_pixel: u32,
+}
+
+impl Context<'_> {
+    /// View and pixel in it of a pixel over all views.
+    fn pixel(&self, pixel: u32) -> (&View, u32) {
+        let view = self.first_pixels.partition_point(|&first| first <= pixel) - 1;
+        (&self.views[view], pixel - self.first_pixels[view])
+    }
+
+    pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
+        let (mesh, grid) = (job.tile.mesh()?, job.tile.grid()?);
+        let room = self.tables.tiles()[job.tile.tile as usize].room;
+        let shader = Shader {
+            context: self,
+            tile: Resident {
+                tile: job.tile.tile,
+                bsp: &self.bsp,
+                mesh: &mesh,
+                grid: &grid,
+                materials: self.tables.materials(),
+                delta: self.tables.scene.delta,
+            },
+            room,
+            map: job.light.map.as_ref().map(|m| PhotonMap::from_blob(m)).transpose()?,
+            portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
+            lights: &job.light.lights,
+            film: &job.film,
+            first_pixel: job.first_pixel,
+        };
+        let mut products = Products::default();
+        match &job.work {
+            Work::Waiting { records, range } => {
+                for record in &records.records()[range.clone()] {
+                    if record.flags & TRANSIT_SHADOW != 0 {
+                        shader.shadow(*record, &mut products);
+                    } else {
+                        shader.camera(*record, scratch, &mut products);
+                    }
+                }
+            }
+            Work::Camera { indices } => {
+                for index in indices.clone() {
+                    let pixel = job.first_pixel + (index / u64::from(self.samples)) as u32;
+                    let sample = (index % u64::from(self.samples)) as u32;
+                    let (view, local) = self.pixel(pixel);
+                    let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
+                    let (dx, dy) = camera::place(sample, [u[0], u[1]]);
+                    let direction = view.camera.direction(local, dx, dy);
+                    let leaf =
+                        self.bsp.locate_towards(view.camera.eye.as_dvec3(), direction.as_dvec3());
+                    if self.bsp.leaves[leaf as usize].tile != job.tile.tile {
+                        continue;
+                    }
+                    products.camera += 1;
+                    let record = TransitRecord {
+                        origin: view.camera.eye.to_array(),
+                        direction: direction.to_array(),
+                        flux: [1.0; 3],
+                        t: 0.0,
+                        leaf,
+                        light: pixel,
+                        photon: sample,
+                        bounce: 0,
+                        flags: TRANSIT_CAMERA,
+                        last_triangle: NONE,
+                        impacts: 0,
+                    };
+                    shader.camera(record, scratch, &mut products);
+                }
+            }
+        }
+        Ok(products)
+    }
+}
+
+impl Shader<'_> {
+    fn film_pixel(&self, record: &TransitRecord) -> u32 {
+        record.light - self.first_pixel
+    }
+
+    fn tile_of(&self, leaf: u32) -> u32 {
+        self.tile.bsp.leaves[leaf as usize].tile
+    }
+
+    /// Follows a camera ray until it ends or leaves the tile.
+    fn camera(&self, mut record: TransitRecord, scratch: &mut Scratch, products: &mut Products) {
+        let bsp = self.tile.bsp;
+        let mut prepared = flight::prepare(&record);
+        loop {
+            let hit = match flight::fly(&self.tile, &record, &prepared, f32::INFINITY, |_, _| {}) {
+                Flight::Leaves { leaf, t } => {
+                    record.leaf = leaf;
+                    record.t = t;
+                    return products.park(self.tile_of(leaf), record);
+                }
+                Flight::Escapes { .. } | Flight::Reached => return,
+                Flight::Hit { hit, leaf } => {
+                    record.leaf = leaf;
+                    hit
+                }
+            };
+            let direction = Vec3::from(record.direction);
+            let surface = flight::surface(&self.tile, &hit, direction);
+            let leaf = bsp.locate(surface.origin.as_dvec3());
+            if bsp.leaves[leaf as usize].room != self.room {
+                // The point belongs to a neighbour, whose photons and lights are elsewhere: met again there.
+                record.leaf = leaf;
+                record.t = hit.t;
+                return products.park(self.tile_of(leaf), record);
+            }
+            let throughput = Vec3::from(record.flux);
+            let material = &self.tile.materials[surface.material as usize];
+            let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+            let pixel = self.film_pixel(&record);
+            if record.bounce == 0 {
+                let albedo = lobes.diffuse.to_array();
+                self.film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
+                if record.photon == 0 {
+                    self.film.set_room(pixel, self.room + 1);
+                }
+            }
+            if surface.front {
+                let emitted = throughput * Vec3::from(material.emission);
+                if emitted != Vec3::ZERO {
+                    self.film.add_direct(pixel, emitted.to_array());
+                }
+            }
+            if lobes.diffuse != Vec3::ZERO {
+                self.diffuse(&record, &surface, throughput, &lobes, scratch, products);
+            }
+            if !self.go_on(&mut record, &surface, &lobes, throughput, hit.t) {
+                return;
+            }
+            if record.t == 0.0 {
+                let direction = Vec3::from(record.direction);
+                record.leaf =
+                    bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+                let next = self.tile_of(record.leaf);
+                if next != self.tile.tile {
+                    return products.park(next, record);
+                }
+                prepared = flight::prepare(&record);
+            }
+        }
+    }
+
+    /// Mirror or straight on, one of the two by chance; false when the path ends.
+    fn go_on(
+        &self,
+        record: &mut TransitRecord,
+        surface: &Surface,
+        lobes: &Lobes,
+        throughput: Vec3,
+        t: f32,
+    ) -> bool {
+        let specular = Lobes { diffuse: Vec3::ZERO, ..*lobes };
+        if specular.mirror + specular.transmitted == Vec3::ZERO {
+            return false;
+        }
+        let (_, local) = self.context.pixel(record.light);
+        let u = rng::uniforms(
+            self.context.seed,
+            Purpose::CameraScatter,
+            local,
+            record.photon,
+            record.bounce,
+            0,
+        );
+        // The first interactions always go on: roulette would only add noise where the eye is sharpest.
+        let mean = |c: Vec3| (throughput * c).dot(Vec3::ONE);
+        let (m, p) = (mean(specular.mirror), mean(specular.transmitted));
+        let total = throughput.dot(Vec3::ONE);
+        if m + p <= 0.0 || total <= 0.0 {
+            return false;
+        }
+        let survival =
+            if record.bounce < 4 { 1.0 } else { ((m + p) / total).min(scatter::MAX_SURVIVAL) };
+        if u[0] >= survival {
+            return false;
+        }
+        let mirror = m / (m + p);
+        record.bounce = record.bounce.saturating_add(1);
+        record.last_triangle = surface.triangle;
+        if u[1] < mirror {
+            let direction = Vec3::from(record.direction);
+            let new = direction - surface.normal * (2.0 * direction.dot(surface.normal));
+            record.flux = (throughput * specular.mirror / (mirror * survival)).to_array();
+            record.direction = new.normalize().to_array();
+            record.origin = surface.origin.to_array();
+            record.t = 0.0;
+        } else {
+            record.flux =
+                (throughput * specular.transmitted / ((1.0 - mirror) * survival)).to_array();
+            record.t = flight::just_after(t);
+        }
+        true
+    }
+
+    /// Reflected light at a diffuse point: indirect from the map, direct by shadow rays.
+    fn diffuse(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        throughput: Vec3,
+        lobes: &Lobes,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let reflected = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
+        if self.context.indirect
+            && let Some(map) = &self.map
+        {
+            products.gathers += 1;
+            let gathered = map.irradiance(
+                surface.position,
+                surface.normal,
+                &self.context.gather,
+                &self.portals,
+                &mut scratch.gather,
+            );
+            let radiance = reflected * Vec3::from(gathered.rgb);
+            self.film.add_indirect(self.film_pixel(record), radiance.to_array());
+        }
+        self.direct(record, surface, reflected, scratch, products);
+    }
+
+    /// An upper guess of a light's irradiance at a surface, up to a common factor: flux over distance squared,
+    /// with the cosines at its nearest and best.
+    fn importance(&self, light: &LightRecord, surface: &Surface) -> f32 {
+        let to = Vec3::from(light.position) - surface.position;
+        let reach = light.radius + 0.05;
+        let square = to.length_squared() + reach * reach;
+        let distance = square.sqrt();
+        let lift = ((to.dot(surface.normal) + reach) / distance).clamp(0.0, 1.0);
+        let axis = Vec3::from(light.axis);
+        let directed = if light.kind == enf_layout::light::LIGHT_POINT { 0.0 } else { axis.length() };
+        let faces = ((-to.dot(axis) + reach * directed) / distance).clamp(0.0, 1.0);
+        let emitted = 1.0 - directed + faces;
+        vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
+    }
+
+    fn direct(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        reflected: Vec3,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let context = self.context;
+        let all = context.tables.lights();
+        scratch.weights.clear();
+        let mut total = 0.0f32;
+        for &id in self.lights {
+            total += self.importance(&all[id as usize], surface);
+            scratch.weights.push(total);
+        }
+        let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
+        let count = context.light_samples;
+        let (_, local) = context.pixel(record.light);
+        for sample in 0..count {
+            let index = (sample & 0x7f) as u8 * 2;
+            let bounce = record.bounce | ((sample >> 7) << 12) as u16;
+            let random = |block: u8| {
+                rng::uniforms(context.seed, Purpose::Shadow, local, record.photon, bounce, index + block)
+            };
+            let (u, v) = (random(0), random(1));
+            let chosen = if u[0] >= global {
+                // Stratified over the samples of this point.
+                let place = (sample as f32 + u[1]) / count as f32 * total;
+                let at = scratch.weights.partition_point(|&w| w <= place);
+                self.lights[at.min(self.lights.len() - 1)]
+            } else {
+                let place = f64::from(u[1]);
+                let at = context.power.partition_point(|&p| p <= place);
+                at.min(all.len() - 1) as u32
+            };
+            let light = &all[chosen as usize];
+            let mut probability = global * power_of(context.power, chosen as usize);
+            if total > 0.0 && self.lights.binary_search(&chosen).is_ok() {
+                probability += (1.0 - global) * self.importance(light, surface) / total;
+            }
+            if probability <= 0.0 {
+                continue;
+            }
+            let emitters = context.tables.emitters_of(light);
+            let point = emission::point_on(light, emitters, [v[0], v[1], v[2]]);
+            let to = point.position - surface.origin;
+            let square = to.length_squared();
+            let distance = square.sqrt();
+            let direction = to / distance;
+            let cos = direction.dot(surface.normal);
+            if cos <= 0.0 || !distance.is_finite() || distance <= 0.0 {
+                continue;
+            }
+            let flux = Vec3::from(light.flux_w);
+            // Irradiance of this sample if nothing is in the way.
+            let irradiance = if light.kind == LIGHT_AREA {
+                let cos_light = -direction.dot(point.normal);
+                if cos_light <= 0.0 {
+                    continue;
+                }
+                // Le = flux / (pi A); density of the point is 1/A.
+                flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
+            } else {
+                flux * (emission::point_intensity(light, -direction) * cos / square)
+            };
+            let radiance = reflected * irradiance / (probability * count as f32);
+            if radiance == Vec3::ZERO {
+                continue;
+            }
+            let shadow = TransitRecord {
+                origin: surface.origin.to_array(),
+                direction: direction.to_array(),
+                flux: radiance.to_array(),
+                t: 0.0,
+                leaf: self
+                    .tile
+                    .bsp
+                    .locate_towards(surface.origin.as_dvec3(), direction.as_dvec3()),
+                light: record.light,
+                photon: distance.to_bits(),
+                bounce: 0,
+                flags: TRANSIT_SHADOW,
+                last_triangle: surface.triangle,
+                impacts: point.triangle,
+            };
+            products.shadow += 1;
+            let next = self.tile_of(shadow.leaf);
+            if next == self.tile.tile {
+                self.shadow(shadow, products);
+            } else {
+                products.park(next, shadow);
+            }
+        }
+    }
+
+    /// Follows a shadow ray; what it carries reaches the film unless something opaque is in the way.
+    fn shadow(&self, mut record: TransitRecord, products: &mut Products) {
+        let target = record.impacts;
+        // Whatever lies within the tolerance of the light is part of it.
+        let end = f32::from_bits(record.photon) - 2.0 * self.tile.delta;
+        let prepared = flight::prepare(&record);
+        loop {
+            match flight::fly(&self.tile, &record, &prepared, end, |_, _| {}) {
+                Flight::Leaves { leaf, t } => {
+                    record.leaf = leaf;
+                    record.t = t;
+                    return products.park(self.tile_of(leaf), record);
+                }
+                Flight::Reached | Flight::Escapes { .. } => break,
+                Flight::Hit { hit, .. } if hit.global == target => break,
+                Flight::Hit { hit, leaf } => {
+                    let direction = Vec3::from(record.direction);
+                    let surface = flight::surface(&self.tile, &hit, direction);
+                    let material = &self.tile.materials[surface.material as usize];
+                    let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+                    let flux = Vec3::from(record.flux) * lobes.transmitted;
+                    if flux == Vec3::ZERO {
+                        return;
+                    }
+                    record.flux = flux.to_array();
+                    record.leaf = leaf;
+                    record.t = flight::just_after(hit.t);
+                    record.last_triangle = hit.global;
+                }
+            }
+        }
+        self.film.add_direct(self.film_pixel(&record), record.flux);
+    }
+}
+
+fn power_of(cumulative: &[f64], light: usize) -> f32 {
+    let before = if light == 0 { 0.0 } else { cumulative[light - 1] };
+    (cumulative[light] - before) as f32
+}

@@ -1,0 +1,318 @@
+//! What a tracing thread does with a job: a few thousand photons in one tile, and what came of them.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+use std::sync::Arc;
+
+use enf_layout::bsp::LeafRecord;
+use enf_layout::journal::LedgerRecord;
+use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT};
+use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
+use enf_layout::sections::Malformed;
+use enf_layout::transit::{TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
+use enf_rooms::Bsp;
+use enf_stage::resident::TileData;
+use enf_stage::tables::Tables;
+use enf_store::Buffer;
+use enf_transport::emission;
+use enf_transport::flight::Resident;
+use enf_transport::photon::{self, Sink};
+use enf_transport::rng::{self, Purpose};
+use enf_transport::vector;
+use glam::Vec3;
+
+/// Visibility probes per light, aimed at the portals of the rooms that the light is in (the paper, section 6).
+pub(crate) const PROBES_PER_LIGHT: u64 = 512;
+
+/// Records that wait at a tile: in memory, or read back from the log.
+pub(crate) enum Waiting {
+    Memory(Vec<TransitRecord>),
+    Log(Buffer),
+}
+
+impl Waiting {
+    pub(crate) fn records(&self) -> &[TransitRecord] {
+        match self {
+            Self::Memory(records) => records,
+            // The store checked the extent's length against its count.
+            Self::Log(buffer) => buffer.as_slice_of::<TransitRecord>().unwrap_or(&[]),
+        }
+    }
+}
+
+/// What a job is made of.
+pub(crate) enum Work {
+    /// Photons of `light` with these indices that start in the tile; past the photons come the probes.
+    Emission { light: u32, indices: Range<u64> },
+    /// Photons that came through a portal.
+    Waiting { records: Arc<Waiting>, range: Range<usize> },
+}
+
+/// A piece of a visit.
+pub(crate) struct Job {
+    pub(crate) tile: Arc<TileData>,
+    pub(crate) work: Work,
+}
+
+/// Sums of one job, added to the recorder's.
+#[derive(Default)]
+pub(crate) struct Tally {
+    pub(crate) rooms: BTreeMap<u32, LedgerRecord>,
+    pub(crate) passages: BTreeMap<(u32, u32), (u64, f64)>,
+    /// (room, light) pairs that see each other.
+    pub(crate) sees: BTreeSet<(u32, u32)>,
+    /// Photons traced (each time one is taken up counts).
+    pub(crate) traced: u64,
+}
+
+impl Tally {
+    fn room(&mut self, room: u32) -> &mut LedgerRecord {
+        self.rooms.entry(room).or_insert_with(|| empty_ledger(room))
+    }
+
+    /// Adds another tally.
+    pub(crate) fn merge(&mut self, other: &Tally) {
+        for (room, record) in &other.rooms {
+            add_ledger(self.room(*room), record);
+        }
+        for (&pair, &(photons, flux)) in &other.passages {
+            let entry = self.passages.entry(pair).or_default();
+            entry.0 += photons;
+            entry.1 += flux;
+        }
+        self.sees.extend(other.sees.iter().copied());
+        self.traced += other.traced;
+    }
+}
+
+/// A ledger line in which nothing has happened.
+pub(crate) fn empty_ledger(room: u32) -> LedgerRecord {
+    LedgerRecord { room, reflections_min: u64::MAX, ..LedgerRecord::default() }
+}
+
+/// Adds `more` to `sum`.
+pub fn add_ledger(sum: &mut LedgerRecord, more: &LedgerRecord) {
+    sum.emitted += more.emitted;
+    sum.absorbed += more.absorbed;
+    sum.escaped += more.escaped;
+    sum.stored += more.stored;
+    for c in 0..3 {
+        sum.emitted_w[c] += more.emitted_w[c];
+        sum.absorbed_w[c] += more.absorbed_w[c];
+        sum.escaped_w[c] += more.escaped_w[c];
+    }
+    sum.reflections_sum += more.reflections_sum;
+    sum.reflections_min = sum.reflections_min.min(more.reflections_min);
+    sum.reflections_max = sum.reflections_max.max(more.reflections_max);
+}
+
+/// What a job produced, in blocks per destination.
+#[derive(Default)]
+pub(crate) struct Products {
+    pub(crate) impacts: Vec<(u32, Vec<PhotonRecord>)>,
+    pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
+    pub(crate) tally: Tally,
+    last_seen: Option<(u32, u32)>,
+}
+
+fn lane<T>(lanes: &mut Vec<(u32, Vec<T>)>, id: u32) -> &mut Vec<T> {
+    // Few destinations, the last one most likely: look from the end.
+    let index = match lanes.iter().rposition(|lane| lane.0 == id) {
+        Some(index) => index,
+        None => {
+            lanes.push((id, Vec::new()));
+            lanes.len() - 1
+        }
+    };
+    &mut lanes[index].1
+}
+
+fn add3(sum: &mut [f64; 3], flux: Vec3) {
+    for (s, f) in sum.iter_mut().zip(flux.to_array()) {
+        *s += f64::from(f);
+    }
+}
+
+impl Sink for Products {
+    fn impact(&mut self, room: u32, light: u32, photon: PhotonRecord) {
+        if photon.flags & PHOTON_DIRECT != 0 && self.last_seen != Some((room, light)) {
+            self.last_seen = Some((room, light));
+            self.tally.sees.insert((room, light));
+        }
+        self.tally.room(room).stored += 1;
+        lane(&mut self.impacts, room).push(photon);
+    }
+
+    fn park(&mut self, tile: u32, record: TransitRecord) {
+        lane(&mut self.parked, tile).push(record);
+    }
+
+    fn passage(&mut self, from: u32, to: u32, record: &TransitRecord) {
+        let entry = self.tally.passages.entry((from, to)).or_default();
+        entry.0 += 1;
+        entry.1 += f64::from(vector::luminance(Vec3::from(record.flux)));
+    }
+
+    fn absorb(&mut self, room: u32, flux: Vec3) {
+        add3(&mut self.tally.room(room).absorbed_w, flux);
+    }
+
+    fn ended(&mut self, room: u32, impacts: u32) {
+        let ledger = self.tally.room(room);
+        ledger.absorbed += 1;
+        reflections(ledger, impacts);
+    }
+
+    fn escaped(&mut self, room: u32, impacts: u32, flux: Vec3) {
+        let ledger = self.tally.room(room);
+        ledger.escaped += 1;
+        add3(&mut ledger.escaped_w, flux);
+        reflections(ledger, impacts);
+    }
+
+    fn probed(&mut self, light: u32, room: u32) {
+        self.tally.sees.insert((room, light));
+    }
+}
+
+fn reflections(ledger: &mut LedgerRecord, impacts: u32) {
+    let impacts = u64::from(impacts);
+    ledger.reflections_sum += impacts;
+    ledger.reflections_min = ledger.reflections_min.min(impacts);
+    ledger.reflections_max = ledger.reflections_max.max(impacts);
+}
+
+/// What every job needs to know.
+pub(crate) struct Context<'a> {
+    pub(crate) tables: &'a Tables,
+    pub(crate) bsp: Bsp<'a>,
+    pub(crate) seed: u64,
+    pub(crate) photons_per_light: u64,
+}
+
+impl Context<'_> {
+    /// Runs one job.
+    pub(crate) fn run(&self, job: &Job) -> Result<Products, Malformed> {
+        let (mesh, grid) = (job.tile.mesh()?, job.tile.grid()?);
+        let tile = Resident {
+            tile: job.tile.tile,
+            bsp: &self.bsp,
+            mesh: &mesh,
+            grid: &grid,
+            materials: self.tables.materials(),
+            delta: self.tables.scene.delta,
+        };
+        let mut products = Products::default();
+        match &job.work {
+            Work::Waiting { records, range } => {
+                for record in &records.records()[range.clone()] {
+                    products.tally.traced += 1;
+                    photon::trace(&tile, self.seed, *record, &mut products);
+                }
+            }
+            Work::Emission { light, indices } => {
+                for index in indices.clone() {
+                    if index < self.photons_per_light {
+                        self.emit(&tile, *light, index as u32, &mut products);
+                    } else {
+                        let probe = (index - self.photons_per_light) as u32;
+                        self.probe(&tile, *light, probe, &mut products);
+                    }
+                }
+            }
+        }
+        Ok(products)
+    }
+
+    fn leaf(&self, leaf: u32) -> &LeafRecord {
+        &self.bsp.leaves[leaf as usize]
+    }
+
+    fn emit(&self, tile: &Resident<'_>, id: u32, photon: u32, products: &mut Products) {
+        let light = &self.tables.lights()[id as usize];
+        let emitters = self.tables.emitters_of(light);
+        let start = emission::start(self.seed, id, light, emitters, photon, tile.delta);
+        let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
+        let leaf = self.bsp.locate_towards(origin, direction);
+        if self.leaf(leaf).tile != tile.tile {
+            return;
+        }
+        let flux = Vec3::from(light.flux_w) / self.photons_per_light as f32;
+        let room = self.leaf(self.bsp.locate(origin)).room;
+        let ledger = products.tally.room(room);
+        ledger.emitted += 1;
+        add3(&mut ledger.emitted_w, flux);
+        products.tally.traced += 1;
+        let record = TransitRecord {
+            origin: start.origin.to_array(),
+            direction: start.direction.to_array(),
+            flux: flux.to_array(),
+            t: 0.0,
+            leaf,
+            light: id,
+            photon,
+            bounce: 0,
+            flags: TRANSIT_UNSCATTERED,
+            last_triangle: start.triangle,
+            impacts: 0,
+        };
+        photon::trace(tile, self.seed, record, products);
+    }
+
+    /// A probe goes from a point on the light to a point of a portal of the room in which it starts.
+    fn probe(&self, tile: &Resident<'_>, id: u32, probe: u32, products: &mut Products) {
+        let light = &self.tables.lights()[id as usize];
+        let emitters = self.tables.emitters_of(light);
+        let u = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 0);
+        let v = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 1);
+        let point = emission::point_on(light, emitters, [u[0], u[1], u[2]]);
+        let lift = if light.kind == LIGHT_AREA { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
+        let origin = point.position + point.normal * lift;
+        let room = self.leaf(self.bsp.locate(origin.as_dvec3())).room;
+        let portals = self.tables.portals_of(room);
+        if portals.is_empty() {
+            return;
+        }
+        let portal = &portals[((u[3] * portals.len() as f32) as usize).min(portals.len() - 1)];
+        let first = portal.first_piece as usize;
+        let pieces = &self.tables.pieces()[first..first + portal.piece_count as usize];
+        if pieces.is_empty() {
+            return;
+        }
+        // A piece by area, a triangle of its fan by v[1], a point on it by v[2] and v[3].
+        let mut pick = v[0] * portal.area_m2;
+        let piece = pieces
+            .iter()
+            .find(|p| {
+                pick -= p.area_m2;
+                pick < 0.0
+            })
+            .unwrap_or(&pieces[pieces.len() - 1]);
+        let corners = piece.count.clamp(3, piece.corners.len() as u32) as usize;
+        let fan = ((v[1] * (corners - 2) as f32) as usize).min(corners - 3);
+        let [a, b, c] = [0, fan + 1, fan + 2].map(|i| Vec3::from(piece.corners[i]));
+        let (s, t) = vector::triangle(v[2], v[3]);
+        let target = a * (1.0 - s - t) + b * s + c * t;
+        let direction = (target - origin).normalize_or_zero();
+        let one_sided = light.kind == LIGHT_AREA || light.kind == LIGHT_POINT_LAMBERT;
+        if direction == Vec3::ZERO || (one_sided && direction.dot(point.normal) <= 0.0) {
+            return;
+        }
+        let leaf = self.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3());
+        if self.leaf(leaf).tile != tile.tile {
+            return;
+        }
+        let record = TransitRecord {
+            origin: origin.to_array(),
+            direction: direction.to_array(),
+            t: 0.0,
+            leaf,
+            light: id,
+            photon: probe,
+            flags: TRANSIT_PROBE,
+            last_triangle: point.triangle,
+            ..TransitRecord::default()
+        };
+        photon::trace(tile, self.seed, record, products);
+    }
+}
