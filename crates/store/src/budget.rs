@@ -494,3 +494,153 @@ pub struct ArrayFull {
     /// Items that it has place for.
     pub capacity: usize,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const MIB: u64 = 1 << 20;
+
+    #[test]
+    fn a_refusal_names_the_largest_holders() {
+        let budget = MemoryBudget::new(380 * MIB);
+        let _geometry = budget.reserve(200 * MIB, "geometry").unwrap();
+        let _photons = budget.reserve(60 * MIB, "photons").unwrap();
+        let error = budget.reserve(175 * MIB, "grid of a tile").unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "grid of a tile needs 175 MiB, 120 MiB of 380 MiB are free \
+             (largest holders: geometry 200 MiB, photons 60.0 MiB)"
+        );
+        assert_eq!((error.needed, error.available, error.limit), (175 * MIB, 120 * MIB, 380 * MIB));
+        assert_eq!(budget.reserved(), 260 * MIB, "a refusal takes nothing");
+    }
+
+    #[test]
+    fn a_refusal_by_a_single_byte_says_so() {
+        let budget = MemoryBudget::new(MIB);
+        let error = budget.reserve(MIB + 1, "queue").unwrap_err();
+        assert_eq!(error.to_string(), "queue needs 1048577 B, 1048576 B of 1.0 MiB are free");
+    }
+
+    #[test]
+    fn the_system_may_refuse_what_the_budget_grants() {
+        let budget = MemoryBudget::new(u64::MAX);
+        let error = Buffer::zeroed(&budget, 1 << 62, "everything").unwrap_err();
+        assert!(error.to_string().contains("operating system"), "{error}");
+        let error = Array::<u64>::with_capacity(&budget, usize::MAX, "more").unwrap_err();
+        assert!(error.to_string().contains("operating system"), "{error}");
+        assert_eq!(budget.reserved(), 0);
+    }
+
+    proptest! {
+        #[test]
+        fn counters_follow_every_reservation(
+            steps in proptest::collection::vec((0u8..3, 0usize..8, 0u64..400), 1..80),
+        ) {
+            const NAMES: [&str; 3] = ["a", "b", "c"];
+            let budget = MemoryBudget::new(1000);
+            let mut held: Vec<(usize, Reservation)> = Vec::new();
+            let mut peak = 0;
+            for (action, which, bytes) in steps {
+                let before: u64 = held.iter().map(|h| h.1.bytes()).sum();
+                let slot = which % held.len().max(1);
+                match action {
+                    0 => match budget.reserve(bytes, NAMES[which % 3]) {
+                        Ok(r) => held.push((which % 3, r)),
+                        Err(e) => {
+                            prop_assert!(before + bytes > 1000);
+                            prop_assert_eq!(e.available, 1000 - before);
+                        }
+                    },
+                    1 if !held.is_empty() => {
+                        let old = held[slot].1.bytes();
+                        let fits = before - old + bytes <= 1000;
+                        prop_assert_eq!(held[slot].1.resize(bytes).is_ok(), fits);
+                        prop_assert_eq!(held[slot].1.bytes(), if fits { bytes } else { old });
+                    }
+                    2 if !held.is_empty() => drop(held.swap_remove(slot)),
+                    _ => {}
+                }
+                let now: u64 = held.iter().map(|h| h.1.bytes()).sum();
+                peak = now.max(peak);
+                prop_assert_eq!(budget.reserved(), now);
+                prop_assert_eq!(budget.available(), 1000 - now);
+                prop_assert_eq!(budget.peak(), peak);
+                prop_assert_eq!(budget.holders().iter().map(|h| h.1).sum::<u64>(), now);
+                for (name, bytes) in budget.holders() {
+                    let sum = held.iter().filter(|h| NAMES[h.0] == name).map(|h| h.1.bytes()).sum();
+                    prop_assert_eq!(bytes, sum);
+                }
+            }
+            held.clear();
+            prop_assert_eq!(budget.reserved(), 0);
+        }
+
+        #[test]
+        fn buffers_are_aligned_zeroed_and_counted(len in prop_oneof![0usize..300, 130_000usize..140_000]) {
+            let budget = MemoryBudget::new(1 << 20);
+            let mut buffer = Buffer::zeroed(&budget, len, "test").unwrap();
+            prop_assert_eq!(buffer.as_ptr() as usize % 64, 0);
+            prop_assert_eq!(buffer.len(), len);
+            prop_assert!(buffer.iter().all(|&b| b == 0));
+            prop_assert_eq!(budget.reserved(), len as u64);
+            buffer.fill(7);
+            prop_assert!(buffer.iter().all(|&b| b == 7));
+            prop_assert_eq!(buffer.as_slice_of::<u64>().is_ok(), len % 8 == 0);
+            prop_assert_eq!(buffer.as_mut_slice_of::<[f32; 6]>().is_ok(), len % 24 == 0);
+            prop_assert_eq!(buffer.padded_mut().len(), len.max(1).next_multiple_of(64));
+            drop(buffer);
+            prop_assert_eq!(budget.reserved(), 0);
+        }
+    }
+
+    #[test]
+    fn threads_never_reserve_more_than_there_is() {
+        let budget = MemoryBudget::new(1000);
+        std::thread::scope(|scope| {
+            for t in 0..4u64 {
+                let budget = &budget;
+                scope.spawn(move || {
+                    for i in 0..2000 {
+                        if let Ok(mut r) = budget.reserve((i * 7 + t * 13) % 600, "thread") {
+                            assert!(budget.reserved() <= 1000);
+                            let _ = r.resize(i % 300);
+                        }
+                    }
+                });
+            }
+        });
+        assert_eq!(budget.reserved(), 0);
+        assert!(budget.peak() <= 1000 && budget.holders().is_empty());
+    }
+
+    #[test]
+    fn an_array_never_grows_by_itself() {
+        let budget = MemoryBudget::new(100);
+        let mut array = Array::with_capacity(&budget, 3, "list").unwrap();
+        assert_eq!(budget.reserved(), 12);
+        assert_eq!(array.push(1u32), Ok(()));
+        assert_eq!(array.extend_from_slice(&[2, 3, 4]), Err(ArrayFull { capacity: 3 }));
+        assert_eq!(*array, [1], "all or none");
+        array.extend_from_slice(&[2, 3]).unwrap();
+        assert_eq!(array.push(4), Err(4));
+        assert!(array.is_full() && array.resize(4, 0).is_err());
+        array.resize_capacity(10).unwrap();
+        assert_eq!((array.capacity(), budget.reserved(), &array[..]), (10, 40, &[1, 2, 3][..]));
+        assert!(array.resize_capacity(20).is_err(), "both at once need 120 bytes");
+        assert_eq!((array.capacity(), budget.reserved(), array.len()), (10, 40, 3));
+        array[1] = 9;
+        array.truncate(2);
+        array.resize_capacity(0).unwrap();
+        assert_eq!((array.capacity(), budget.reserved(), &array[..]), (2, 8, &[1, 9][..]));
+        assert_eq!(array.pop(), Some(9));
+        array.clear();
+        assert!(array.is_empty());
+        drop(array);
+        assert_eq!(budget.reserved(), 0);
+        let mut units = Array::with_capacity(&budget, 2, "nothing").unwrap();
+        assert_eq!((units.push(()), units.push(()), units.push(())), (Ok(()), Ok(()), Err(())));
+    }
+}

@@ -250,3 +250,31 @@ pub(crate) fn parse_header(
         named.corrupt(12, "the header belongs to another file")
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_and_roles_are_one_to_one() {
+        let role = Role::Data { process: 7, segment: 0 };
+        assert_eq!(role.name(StageKind::Trace), "trace.007.000.dat");
+        for stage in StageKind::ALL {
+            for process in [0, 7, 999, 1000, u32::MAX] {
+                for role in [
+                    Role::Seal,
+                    Role::NewSeal,
+                    Role::Journal { process },
+                    Role::Data { process, segment: process },
+                ] {
+                    let name = role.name(stage);
+                    assert!(name.len() <= 40, "a seal record has 40 bytes for '{name}'");
+                    assert_eq!(Role::parse(&name), Some((stage, role)));
+                }
+            }
+        }
+        for other in ["trace", "trace.0.journal", "trace.+00.journal", "x.seal", "trace.seal.old"] {
+            assert_eq!(Role::parse(other), None, "{other}");
+        }
+    }
+}

@@ -110,3 +110,56 @@ fn unescape(text: &str) -> String {
     }
     out
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn of(entries: &[(&str, &str)]) -> Identity {
+        let mut identity = Identity::new();
+        for (key, value) in entries {
+            identity.push(*key, value);
+        }
+        identity
+    }
+
+    #[test]
+    fn differences_say_who_has_what() {
+        let here = of(&[("seed", "1"), ("photons-per-light", "50000"), ("sky", "clear")]);
+        let there = of(&[("seed", "1"), ("photons-per-light", "20000"), ("sun", "noon")]);
+        assert_eq!(
+            here.differences(&there),
+            [
+                "photons-per-light: 20000 there, 50000 here",
+                "sky: nothing there, clear here",
+                "sun: noon there, nothing here"
+            ]
+        );
+        assert!(here.differences(&here).is_empty());
+    }
+
+    #[test]
+    fn garbage_is_no_identity() {
+        assert!(Identity::from_text("seed 1\n").is_err());
+        assert_eq!(Identity::from_text(""), Ok(Identity::new()));
+    }
+
+    proptest! {
+        #[test]
+        fn any_text_survives(entries in proptest::collection::vec(("[a-z=\\\\\n ]{0,6}", ".{0,9}|[=\\\\\n ]{0,5}"), 0..5)) {
+            let mut identity = Identity::new();
+            for (key, value) in &entries {
+                identity.push(key.as_str(), value);
+            }
+            prop_assert_eq!(Identity::from_text(&identity.to_text()), Ok(identity));
+        }
+
+        #[test]
+        fn equal_means_no_differences(a in proptest::collection::vec(("[ab]", "[01]"), 0..4), b in proptest::collection::vec(("[ab]", "[01]"), 0..4)) {
+            let (a, b) = (Identity(a), Identity(b));
+            prop_assert_eq!(a == b, a.differences(&b).is_empty());
+            prop_assert_eq!(a == b, a.hash() == b.hash());
+        }
+    }
+}
