@@ -312,10 +312,7 @@ fn verify_all(store: &StoreDir, as_json: bool) -> Result<()> {
         }
     }
     if rows.is_empty() {
-        return Err(Failure::input(format!(
-            "{} holds no finished stage",
-            store.path().display()
-        )));
+        return Err(Failure::input(format!("{} holds no finished stage", store.path().display())));
     }
     if as_json {
         let text = serde_json::to_string_pretty(&rows).map_err(Failure::internal)?;

@@ -8,9 +8,7 @@ use enf_building::{Kind, Request};
 use enf_kdtree::KdtreeArgs;
 use enf_partition::PartitionArgs;
 use enf_render::RenderArgs;
-use enf_stage::{
-    CommonArgs, Failure, IdSink, IdSource, IoContext, Result, Stats, session, say,
-};
+use enf_stage::{CommonArgs, Failure, IdSink, IdSource, IoContext, Result, Stats, say, session};
 use enf_trace::TraceArgs;
 use serde_json::Value;
 

@@ -36,9 +36,8 @@ pub(crate) fn text(
     report: &Value,
 ) -> String {
     let mut s = String::new();
-    let stage = |name: &str| {
-        stages.iter().find(|v| v["stage"] == name).cloned().unwrap_or(Value::Null)
-    };
+    let stage =
+        |name: &str| stages.iter().find(|v| v["stage"] == name).cloned().unwrap_or(Value::Null);
     let (partition, trace, render) = (stage("partition"), stage("trace"), stage("render"));
     let count = |v: &Value, key: &str| grouped(number(v, key) as u64);
     // Writing to a string cannot fail.
@@ -108,14 +107,11 @@ pub(crate) fn text(
         mib(number(report, "io.read_bytes")),
         mib(number(report, "io.written_bytes")),
     );
-    let _ = write!(s, "  time       {:.1} s on {} threads:", number(report, "wall_s"), common.threads);
+    let _ =
+        write!(s, "  time       {:.1} s on {} threads:", number(report, "wall_s"), common.threads);
     for stage in stages {
-        let _ = write!(
-            s,
-            " {} {:.1}",
-            stage["stage"].as_str().unwrap_or("?"),
-            number(stage, "wall_s")
-        );
+        let _ =
+            write!(s, " {} {:.1}", stage["stage"].as_str().unwrap_or("?"), number(stage, "wall_s"));
     }
     let _ = writeln!(s);
     if let Some(pictures) = render["pictures"].as_array() {

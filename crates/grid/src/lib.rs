@@ -6,12 +6,12 @@ use std::path::PathBuf;
 
 use enf_geometry::{TileMesh, build_grid, grid_build_bytes};
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
-use serde_json::Value;
+use enf_stage::ordered::ordered;
 use enf_stage::session::{self, Announcer, Begin, Session};
 use enf_stage::tables::Tables;
-use enf_stage::ordered::ordered;
 use enf_stage::{CommonArgs, IdSink, IdSource, Progress, Result, Selection, say};
 use enf_store::{StageWriter, StoreDir, StoreError, encode};
+use serde_json::Value;
 
 /// `enf-grid`: the command line.
 #[derive(clap::Parser, Clone, Debug)]
@@ -98,7 +98,8 @@ fn build(
         None => 1,
     };
     let _work = budget.reserve(
-        largest.map_or(0, |t| needs(t) - tables.tiles()[t as usize].mesh_bytes * 2) * threads as u64,
+        largest.map_or(0, |t| needs(t) - tables.tiles()[t as usize].mesh_bytes * 2)
+            * threads as u64,
         "grids being built",
     )?;
 

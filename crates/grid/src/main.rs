@@ -10,6 +10,11 @@ fn main() -> ExitCode {
     run_main("enf-grid", || {
         let cli = Cli::try_parse().map_err(Failure::from)?;
         interrupt::install()?;
-        enf_grid::run(&cli, enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet), &IdSink::stdout()).map(drop)
+        enf_grid::run(
+            &cli,
+            enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet),
+            &IdSink::stdout(),
+        )
+        .map(drop)
     })
 }

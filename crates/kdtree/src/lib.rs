@@ -11,9 +11,7 @@ use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_stage::ordered::ordered;
 use enf_stage::session::{self, Announcer, Begin, Session};
 use enf_stage::tables::Tables;
-use enf_stage::{
-    CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, say,
-};
+use enf_stage::{CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, say};
 use enf_store::{Array, Buffer, MemoryBudget, StageReader, StageWriter, StoreDir};
 use serde_json::Value;
 use zerocopy::{FromBytes, IntoBytes};
@@ -109,7 +107,11 @@ fn build(
     let needs = |room: u32| stored(photons, room) * record * 2 + (1 << 20);
     let largest = todo.iter().copied().map(needs).max().unwrap_or(0);
     // Two rooms at once where both fit with room for their halos, else all threads on one tree.
-    let at_once = if largest * 5 / 2 < budget.available() / common.threads as u64 { common.threads } else { 1 };
+    let at_once = if largest * 5 / 2 < budget.available() / common.threads as u64 {
+        common.threads
+    } else {
+        1
+    };
     let threads_each = common.threads / at_once;
 
     let radius = cli.kdtree.gather_radius;
@@ -196,13 +198,14 @@ fn map_of(
     }
     let count = list.len();
     let header = photon_map::write_header(count as u64, (count - own) as u64, radius);
-    let mut blob =
-        Buffer::zeroed(budget, photon_map::blob_bytes(count), "tree of a room").map_err(too_small)?;
+    let mut blob = Buffer::zeroed(budget, photon_map::blob_bytes(count), "tree of a room")
+        .map_err(too_small)?;
     blob[..header.len()].copy_from_slice(&header);
     let bytes = count * size_of::<PhotonRecord>();
     let tree = &mut blob[header.len()..header.len() + bytes];
     tree.copy_from_slice(list.as_bytes());
-    let tree = <[PhotonRecord]>::mut_from_bytes(tree).map_err(|e| Failure::internal(e.to_string()))?;
+    let tree =
+        <[PhotonRecord]>::mut_from_bytes(tree).map_err(|e| Failure::internal(e.to_string()))?;
     build_tree(tree, &mut list, threads);
     Ok(Map { blob, photons: count as u64, halo: (count - own) as u64 })
 }

@@ -25,7 +25,7 @@ pub fn forward(blob: &[u8], out: &mut [u8]) -> Result<(), Malformed> {
         let (src, dst) = (&blob[range.clone()], &mut out[range]);
         let (n, stride) = (src.len() / 4, record.stride as usize);
         let mode = transform_of(&record)?;
-        if mode == Transform::None || src.len() % 4 != 0 {
+        if mode == Transform::None || !src.len().is_multiple_of(4) {
             continue;
         }
         for i in 0..n {
@@ -53,7 +53,7 @@ pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
         let section = &mut blob[range];
         let (n, stride) = (section.len() / 4, record.stride as usize);
         let mode = transform_of(&record)?;
-        if mode == Transform::None || section.len() % 4 != 0 {
+        if mode == Transform::None || !section.len().is_multiple_of(4) {
             continue;
         }
         if stride == 0 {

@@ -6,7 +6,7 @@
 /// Encodes a non-negative RGB; `dither` are three numbers in `[0, 1)` from the photon's own counter.
 pub fn encode(rgb: [f32; 3], dither: [f32; 3]) -> [u8; 4] {
     let largest = rgb[0].max(rgb[1]).max(rgb[2]);
-    if !(largest > 1e-37) {
+    if largest.is_nan() || largest <= 1e-37 {
         return [0; 4];
     }
     // frexp: largest = m * 2^e, m in [0.5, 1)

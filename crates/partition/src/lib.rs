@@ -108,7 +108,11 @@ fn parse_rooms(text: &str) -> std::result::Result<Rooms, String> {
 
 /// `enf-partition`: the command line.
 #[derive(clap::Parser, Clone, Debug)]
-#[command(name = "enf-partition", version, about = "Turn a building file into rooms, portals and tiles")]
+#[command(
+    name = "enf-partition",
+    version,
+    about = "Turn a building file into rooms, portals and tiles"
+)]
 pub struct Cli {
     /// The model: .obj, .obj.zst or a scene file (.toml)
     #[arg(value_name = "SCENE")]
@@ -146,7 +150,8 @@ fn identity(scene: &Scene, args: &PartitionArgs) -> Identity {
             RoomCount::Exactly(n) => n.to_string(),
         },
     );
-    identity.push("ceiling-lights", args.ceiling_lights.map_or("none".into(), |l| format!("{l} lx")));
+    identity
+        .push("ceiling-lights", args.ceiling_lights.map_or("none".into(), |l| format!("{l} lx")));
     identity
 }
 
@@ -180,24 +185,30 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
     };
     let identity = identity(&scene, args);
     let store = create(&cli.output)?;
-    let finished = match session::begin(&store, StageKind::Partition, common.process, &identity, cli.force)? {
-        Begin::Finished => true,
-        Begin::Work(writer) => {
-            for warning in &scene.warnings {
-                warn(common, warning);
+    let finished =
+        match session::begin(&store, StageKind::Partition, common.process, &identity, cli.force)? {
+            Begin::Finished => true,
+            Begin::Work(writer) => {
+                for warning in &scene.warnings {
+                    warn(common, warning);
+                }
+                let writer = if writer.resumed() {
+                    // Half a partition is worth nothing: it is made again from the same input.
+                    drop(writer);
+                    store.discard_from(StageKind::Partition)?;
+                    Box::new(StageWriter::open(
+                        &store,
+                        StageKind::Partition,
+                        common.process,
+                        &identity,
+                    )?)
+                } else {
+                    writer
+                };
+                partition(cli, &mut session, &scene, *writer)?;
+                false
             }
-            let writer = if writer.resumed() {
-                // Half a partition is worth nothing: it is made again from the same input.
-                drop(writer);
-                store.discard_from(StageKind::Partition)?;
-                Box::new(StageWriter::open(&store, StageKind::Partition, common.process, &identity)?)
-            } else {
-                writer
-            };
-            partition(cli, &mut session, &scene, *writer)?;
-            false
-        }
-    };
+        };
     drop(scene);
     let tables = enf_stage::tables::Tables::open(&store, &session.budget)?;
     if finished {
@@ -219,7 +230,12 @@ fn create(path: &Path) -> Result<StoreDir> {
     Ok(StoreDir::create(path)?)
 }
 
-fn partition(cli: &Cli, session: &mut Session, scene: &Scene, mut writer: StageWriter) -> Result<()> {
+fn partition(
+    cli: &Cli,
+    session: &mut Session,
+    scene: &Scene,
+    mut writer: StageWriter,
+) -> Result<()> {
     let (common, args) = (&cli.common, &cli.partition);
     let budget = session.budget.clone();
     let lane = session.timeline.lane("partition");
@@ -245,7 +261,8 @@ fn partition(cli: &Cli, session: &mut Session, scene: &Scene, mut writer: StageW
         emitters: Vec::new(),
         light_names: Vec::new(),
     };
-    let work = budget.reserve(count * WORK_BYTES_PER_TRIANGLE, "walls and lists of the partitioner")?;
+    let work =
+        budget.reserve(count * WORK_BYTES_PER_TRIANGLE, "walls and lists of the partitioner")?;
     scene.for_each_triangle(|t| {
         let _ = world.corners.push(t.corners);
         let _ = world.material_of.push(t.material);
@@ -287,8 +304,8 @@ fn partition(cli: &Cli, session: &mut Session, scene: &Scene, mut writer: StageW
             .with_hint("give a material Ke, or a scene file a [[light]]"));
     }
 
-    let per_triangle =
-        MESH_BYTES_PER_TRIANGLE + (grid_bytes_estimate(1 << 20) - grid_bytes_estimate(0)) / (1 << 20);
+    let per_triangle = MESH_BYTES_PER_TRIANGLE
+        + (grid_bytes_estimate(1 << 20) - grid_bytes_estimate(0)) / (1 << 20);
     let limit = match (args.random_tiles, args.tile_triangles) {
         (Some(tiles), _) => TileLimit::Random { tiles, seed: common.seed },
         (None, Some(n)) => TileLimit::Triangles(n.max(1)),
@@ -306,10 +323,8 @@ fn partition(cli: &Cli, session: &mut Session, scene: &Scene, mut writer: StageW
         rooms.finish(&world.corners)
     };
     drop(work);
-    let _lists = budget.reserve(
-        4 * tables.tile_triangles.len() as u64,
-        "lists of the tiles' triangles",
-    )?;
+    let _lists =
+        budget.reserve(4 * tables.tile_triangles.len() as u64, "lists of the tiles' triangles")?;
 
     // Which lights start in which tile: emitters are in the lists of the tiles that they touch.
     let mut light_of: Vec<(u32, u32)> = Vec::new();
@@ -435,10 +450,7 @@ fn report(cli: &Cli, session: &mut Session, tables: &enf_stage::tables::Tables) 
     stats.set("portals", portals.len());
     stats.set("portal_area_m2", area);
     stats.set("triangles", tables.scene.triangles);
-    stats.set(
-        "room_triangles_mean",
-        triangles.iter().sum::<u64>() as f64 / rooms.max(1) as f64,
-    );
+    stats.set("room_triangles_mean", triangles.iter().sum::<u64>() as f64 / rooms.max(1) as f64);
     stats.set("room_triangles_max", triangles.iter().max().copied().unwrap_or(0));
     stats.set("stored_triangles", tables.scene.stored_triangles);
     stats.set("tiles", tables.tiles().len());

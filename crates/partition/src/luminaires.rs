@@ -39,18 +39,16 @@ pub(crate) fn hang(world: &mut World, rooms: &[RoomRecord], lux: f64) -> usize {
             continue;
         }
         let at = Vec3::from(room.inside);
-        let mut half = HALF_SIDE.min((room.max[0] - room.min[0]).min(room.max[1] - room.min[1]) / 4.0);
+        let mut half =
+            HALF_SIDE.min((room.max[0] - room.min[0]).min(room.max[1] - room.min[1]) / 4.0);
         // The panel must be free at its corners and centre; a smaller one fits into more places.
         let mut ceiling = None;
         while half > 0.04 {
-            let heights: Option<Vec<f32>> = probes(at, half)
-                .iter()
-                .map(|&p| above(&world.corners[..original], p))
-                .collect();
+            let heights: Option<Vec<f32>> =
+                probes(at, half).iter().map(|&p| above(&world.corners[..original], p)).collect();
             if let Some(heights) = heights {
-                let (low, high) = heights
-                    .iter()
-                    .fold((f32::INFINITY, 0.0f32), |(l, h), &z| (l.min(z), h.max(z)));
+                let (low, high) =
+                    heights.iter().fold((f32::INFINITY, 0.0f32), |(l, h), &z| (l.min(z), h.max(z)));
                 if high - low < 0.3 || half < 0.1 {
                     ceiling = Some(low);
                     break;
@@ -122,7 +120,8 @@ fn above(corners: &[[[f32; 3]; 3]], p: Vec3) -> Option<f32> {
     for triangle in corners {
         let [a, b, c] = triangle.map(|v| [f64::from(v[0]), f64::from(v[1]), f64::from(v[2])]);
         let (x, y) = (f64::from(p.x), f64::from(p.y));
-        let side = |u: [f64; 3], v: [f64; 3]| (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0]);
+        let side =
+            |u: [f64; 3], v: [f64; 3]| (v[0] - u[0]) * (y - u[1]) - (v[1] - u[1]) * (x - u[0]);
         let (u, v, w) = (side(b, c), side(c, a), side(a, b));
         let sum = u + v + w;
         let inside = (u >= 0.0 && v >= 0.0 && w >= 0.0) || (u <= 0.0 && v <= 0.0 && w <= 0.0);

@@ -22,9 +22,10 @@ pub(crate) fn write(
     tables: &mut Tables,
 ) -> Result<u64> {
     let tiles = tables.tiles.len();
-    let largest =
-        tables.tile_offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0) * ENCODE_BYTES_PER_TRIANGLE;
-    let threads = common.threads.min((budget.available() / largest.max(1)) as usize).clamp(1, tiles.max(1));
+    let largest = tables.tile_offsets.windows(2).map(|w| w[1] - w[0]).max().unwrap_or(0)
+        * ENCODE_BYTES_PER_TRIANGLE;
+    let threads =
+        common.threads.min((budget.available() / largest.max(1)) as usize).clamp(1, tiles.max(1));
     let _work = budget.reserve(largest * threads as u64, "tiles being encoded")?;
     let progress = Progress::new(common, "tiles", Some(tiles as u64), "tiles");
     let (offsets, lists) = (&tables.tile_offsets, &tables.tile_triangles);
@@ -35,8 +36,7 @@ pub(crate) fn write(
         |_, tile| {
             let list = &lists[offsets[tile] as usize..offsets[tile + 1] as usize];
             let blob = TileMesh::build_blob(
-                list.iter()
-                    .map(|&g| (g, world.material_of[g as usize], world.corners[g as usize])),
+                list.iter().map(|&g| (g, world.material_of[g as usize], world.corners[g as usize])),
             );
             Ok((blob.len() as u64, encode(&blob, Codec::ZstdPlanes)?))
         },

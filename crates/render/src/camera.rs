@@ -110,7 +110,8 @@ pub fn views(
         tables.names.views.iter().cloned().zip(tables.views().iter().copied()).collect();
     if let Some(path) = &args.views {
         let frame = Frame { units: 1.0, up: Up::Z, origin: tables.scene.origin };
-        let file = enf_scene::load_views(path, &frame).map_err(|e| Failure::input(e.to_string()))?;
+        let file =
+            enf_scene::load_views(path, &frame).map_err(|e| Failure::input(e.to_string()))?;
         let file: Vec<_> = file.into_iter().map(|v| (v.name, v.record)).collect();
         if args.view.is_empty() {
             found.extend(file.iter().cloned());
@@ -151,7 +152,8 @@ pub fn views(
     }
     let mut views: Vec<View> = Vec::new();
     for (name, mut record) in found {
-        record.width = args.width.unwrap_or(if record.width > 0 { record.width } else { DEFAULT_WIDTH });
+        record.width =
+            args.width.unwrap_or(if record.width > 0 { record.width } else { DEFAULT_WIDTH });
         record.height =
             args.height.unwrap_or(if record.height > 0 { record.height } else { DEFAULT_HEIGHT });
         let camera =
@@ -185,8 +187,7 @@ impl Finder<'_> {
             if room.flags & LEAF_OUTSIDE != 0 {
                 continue;
             }
-            let photons: u64 =
-                maps.find(ExtentKind::Map, id as u32).iter().map(|e| e.count).sum();
+            let photons: u64 = maps.find(ExtentKind::Map, id as u32).iter().map(|e| e.count).sum();
             let score = libm::log(1.0 + photons as f64)
                 * libm::log(2.0 + room.triangles as f64)
                 * libm::sqrt(f64::from(room.floor_area_m2.clamp(0.0, 80.0)));
@@ -229,8 +230,10 @@ impl Finder<'_> {
             let direction = Vec3::new(cos, sin, 0.0);
             ways.push(direction * self.free(eye, direction)?.min(30.0));
         }
-        let longest =
-            ways.iter().copied().fold(Vec3::X * 1e-3, |a, b| if b.length() > a.length() { b } else { a });
+        let longest = ways
+            .iter()
+            .copied()
+            .fold(Vec3::X * 1e-3, |a, b| if b.length() > a.length() { b } else { a });
         Ok((longest, ways))
     }
 

@@ -30,7 +30,11 @@ impl Rows for FilmRows<'_> {
         self.height
     }
 
-    fn read(&mut self, first_row: u32, out: &mut [PixelRecord]) -> std::result::Result<(), RowsError> {
+    fn read(
+        &mut self,
+        first_row: u32,
+        out: &mut [PixelRecord],
+    ) -> std::result::Result<(), RowsError> {
         let mut pixel = self.first_pixel + first_row * self.width;
         let mut out = out;
         while !out.is_empty() {
@@ -67,8 +71,8 @@ pub(crate) fn develop(
     let reader = StageReader::open(store, StageKind::Render)?;
     let mut first_pixel = 0;
     for (view, files) in views.iter().zip(pictures) {
-        let _scratch =
-            budget.reserve(enf_image::scratch_bytes(view.camera.width) as u64, "picture writers")?;
+        let _scratch = budget
+            .reserve(enf_image::scratch_bytes(view.camera.width) as u64, "picture writers")?;
         let mut rows = FilmRows {
             reader: &reader,
             budget,

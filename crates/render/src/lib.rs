@@ -261,8 +261,8 @@ fn render(
     let budget = session.budget.clone();
     let tables = readers.tables;
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
-    let _queue =
-        budget.reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
+    let _queue = budget
+        .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
     let per_job = JOB_RAYS * 4 * size_of::<TransitRecord>() as u64;
     let _jobs = budget.reserve(per_job * (common.threads as u64 + 4), "rays in flight")?;
 
@@ -405,7 +405,8 @@ impl Driver<'_> {
         for band in (0..bands).filter(|b| !done.contains(b)) {
             let first_pixel = band * BAND_PIXELS;
             let pixels = BAND_PIXELS.min(total - first_pixel);
-            let bytes = (Film::bytes_per_pixel() + size_of::<PixelRecord>()) as u64 * u64::from(pixels);
+            let bytes =
+                (Film::bytes_per_pixel() + size_of::<PixelRecord>()) as u64 * u64::from(pixels);
             let reservation = self.budget.reserve(bytes, "film")?;
             let mut band_at_work = Band {
                 film: Arc::new(Film::new(pixels as usize)),
@@ -468,10 +469,7 @@ impl Driver<'_> {
             }
             sent = sent.max(band.unsent.values().copied().min().unwrap_or(all));
             progress.set(u64::from(band.first_pixel) * samples + sent);
-            progress.message(&format!(
-                "room {}",
-                self.context.tables.tiles()[tile as usize].room
-            ));
+            progress.message(&format!("room {}", self.context.tables.tiles()[tile as usize].room));
         }
         Ok(())
     }
@@ -480,7 +478,8 @@ impl Driver<'_> {
     fn tile(&mut self, tile: u32) -> Result<Arc<TileData>> {
         loop {
             match self.cache.get(tile) {
-                Err(error) if error.code == enf_stage::ExitStatus::Budget && self.evict_light() => {}
+                Err(error) if error.code == enf_stage::ExitStatus::Budget && self.evict_light() => {
+                }
                 other => return other,
             }
         }

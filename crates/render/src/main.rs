@@ -10,6 +10,11 @@ fn main() -> ExitCode {
     run_main("enf-render", || {
         let cli = Cli::try_parse().map_err(Failure::from)?;
         interrupt::install()?;
-        enf_render::run(&cli, enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet), &IdSink::stdout()).map(drop)
+        enf_render::run(
+            &cli,
+            enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet),
+            &IdSink::stdout(),
+        )
+        .map(drop)
     })
 }

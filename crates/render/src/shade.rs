@@ -259,8 +259,7 @@ impl Shader<'_> {
             }
             if record.t == 0.0 {
                 let direction = Vec3::from(record.direction);
-                record.leaf =
-                    bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+                record.leaf = bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
                 let next = self.tile_of(record.leaf);
                 if next != self.tile.tile {
                     return products.park(next, record);
@@ -359,7 +358,8 @@ impl Shader<'_> {
         let distance = square.sqrt();
         let lift = ((to.dot(surface.normal) + reach) / distance).clamp(0.0, 1.0);
         let axis = Vec3::from(light.axis);
-        let directed = if light.kind == enf_layout::light::LIGHT_POINT { 0.0 } else { axis.length() };
+        let directed =
+            if light.kind == enf_layout::light::LIGHT_POINT { 0.0 } else { axis.length() };
         let faces = ((-to.dot(axis) + reach * directed) / distance).clamp(0.0, 1.0);
         let emitted = 1.0 - directed + faces;
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
@@ -388,7 +388,14 @@ impl Shader<'_> {
             let index = (sample & 0x7f) as u8 * 2;
             let bounce = record.bounce | ((sample >> 7) << 12) as u16;
             let random = |block: u8| {
-                rng::uniforms(context.seed, Purpose::Shadow, local, record.photon, bounce, index + block)
+                rng::uniforms(
+                    context.seed,
+                    Purpose::Shadow,
+                    local,
+                    record.photon,
+                    bounce,
+                    index + block,
+                )
             };
             let (u, v) = (random(0), random(1));
             let chosen = if u[0] >= global {
@@ -440,10 +447,7 @@ impl Shader<'_> {
                 direction: direction.to_array(),
                 flux: radiance.to_array(),
                 t: 0.0,
-                leaf: self
-                    .tile
-                    .bsp
-                    .locate_towards(surface.origin.as_dvec3(), direction.as_dvec3()),
+                leaf: self.tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3()),
                 light: record.light,
                 photon: distance.to_bits(),
                 bounce: 0,

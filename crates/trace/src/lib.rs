@@ -22,14 +22,14 @@ use enf_stage::resident::{TileCache, TileData, TileReader};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
-    CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler, Selection,
-    interrupt, parse_count, say,
+    CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler,
+    Selection, interrupt, parse_count, say,
 };
 use enf_store::{Extent, StageReader, StoreDir, StoreError};
 
 pub use recorder::Totals;
-pub use tracer::add_ledger;
 use recorder::{Message, Recorder, Status, Taken};
+pub use tracer::add_ledger;
 use tracer::{Context, Job, PROBES_PER_LIGHT, Waiting, Work};
 
 /// Photons of one job: long enough to make its overhead small, short enough to share among threads.
@@ -98,7 +98,11 @@ impl TraceArgs {
 
 /// `enf-trace`: the command line.
 #[derive(clap::Parser, Clone, Debug)]
-#[command(name = "enf-trace", version, about = "Trace photons room by room, inside a memory budget")]
+#[command(
+    name = "enf-trace",
+    version,
+    about = "Trace photons room by room, inside a memory budget"
+)]
 pub struct Cli {
     /// The store
     #[arg(value_name = "NAME.enf")]
@@ -174,8 +178,10 @@ fn trace(
     let (common, queue) = (&cli.common, &cli.trace.queue);
     let budget = session.budget.clone();
     let (rows, block) = queue_shape(queue, common.memory, size_of::<TransitRecord>());
-    let _transit = budget
-        .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming photons")?;
+    let _transit = budget.reserve(
+        RowTable::<TransitRecord>::memory_bytes(rows, block),
+        "table of incoming photons",
+    )?;
     let photon_rows = rows.min(tables.rooms().len()).clamp(1, 48);
     let photon_block =
         (common.memory as usize / 12 / size_of::<PhotonRecord>() / photon_rows).clamp(64, 10_000);
@@ -184,7 +190,8 @@ fn trace(
         "rows of stored photons",
     )?;
     // Products of the jobs in flight: some impacts per photon, all parked at worst.
-    let per_job = JOB_PHOTONS * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
+    let per_job =
+        JOB_PHOTONS * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
     let _jobs = budget.reserve(per_job * (common.threads as u64 + 4), "photons in flight")?;
 
     let resumed = writer.resumed();

@@ -3,13 +3,18 @@
 use std::process::ExitCode;
 
 use clap::Parser;
-use enf_trace::Cli;
 use enf_stage::{Failure, IdSink, interrupt, run_main};
+use enf_trace::Cli;
 
 fn main() -> ExitCode {
     run_main("enf-trace", || {
         let cli = Cli::try_parse().map_err(Failure::from)?;
         interrupt::install()?;
-        enf_trace::run(&cli, enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet), &IdSink::stdout()).map(drop)
+        enf_trace::run(
+            &cli,
+            enf_stage::stdin_ids(cli.all_rooms).quiet(cli.common.quiet),
+            &IdSink::stdout(),
+        )
+        .map(drop)
     })
 }

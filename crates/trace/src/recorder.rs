@@ -24,7 +24,12 @@ pub(crate) enum Message {
     /// An extent's records.
     Read { extent: Extent, reply: Sender<Result<Buffer, StoreError>> },
     /// All jobs of a visit are done: these extents are consumed, emission has got this far.
-    Visited { consumed: Vec<Extent>, unused: (u32, Vec<Extent>), cursor: Option<(u32, u64)>, reply: Sender<Status> },
+    Visited {
+        consumed: Vec<Extent>,
+        unused: (u32, Vec<Extent>),
+        cursor: Option<(u32, u64)>,
+        reply: Sender<Status>,
+    },
     /// Make everything durable.
     Commit { reply: Sender<Result<(), StoreError>> },
 }
@@ -255,8 +260,7 @@ impl Recorder {
                 self.spilled_records += records.len() as u64;
                 let bytes = records.as_bytes();
                 let count = records.len() as u64;
-                let extent =
-                    writer.append(ExtentKind::Transit, tile, count, bytes, Codec::Raw)?;
+                let extent = writer.append(ExtentKind::Transit, tile, count, bytes, Codec::Raw)?;
                 waiting.entry(tile).or_default().push(extent);
                 Ok::<(), StoreError>(())
             })?;

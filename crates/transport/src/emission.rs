@@ -1,9 +1,7 @@
 //! Where photons start. A start depends on (seed, light, index) alone.
 
 use enf_layout::NONE;
-use enf_layout::light::{
-    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LightRecord,
-};
+use enf_layout::light::{EmitterRecord, LIGHT_AREA, LIGHT_POINT, LightRecord};
 use glam::Vec3;
 
 use crate::rng::{self, Purpose};
@@ -73,11 +71,9 @@ pub fn start(
             direction: vector::cosine(point.normal, v[0], v[1]),
             triangle: point.triangle,
         },
-        LIGHT_POINT => Start {
-            origin: point.position,
-            direction: vector::sphere(v[0], v[1]),
-            triangle: NONE,
-        },
+        LIGHT_POINT => {
+            Start { origin: point.position, direction: vector::sphere(v[0], v[1]), triangle: NONE }
+        }
         _ => Start {
             origin: point.position,
             direction: vector::cosine(point.normal, v[0], v[1]),

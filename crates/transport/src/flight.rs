@@ -84,14 +84,8 @@ pub fn fly(
 ) -> Flight {
     let origin: DVec3 = Vec3::from(record.origin).as_dvec3();
     let direction = Vec3::from(record.direction).as_dvec3();
-    let hit = tile.grid.nearest(
-        tile.mesh,
-        prepared,
-        record.t,
-        end,
-        record.last_triangle,
-        tile.delta,
-    );
+    let hit =
+        tile.grid.nearest(tile.mesh, prepared, record.t, end, record.last_triangle, tile.delta);
     let reach = hit.map_or(f32::INFINITY, |h| h.t);
     let (mut leaf, mut t) = (record.leaf, record.t);
     loop {

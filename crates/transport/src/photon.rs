@@ -2,13 +2,9 @@
 //! and is parked when it leaves the tile.
 
 use enf_layout::octahedral;
-use enf_layout::photon::{
-    PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord,
-};
+use enf_layout::photon::{PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::rgbe;
-use enf_layout::transit::{
-    TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord,
-};
+use enf_layout::transit::{TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
 use glam::Vec3;
 
 use crate::flight::{self, Flight, Resident};
@@ -87,14 +83,8 @@ pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &m
             sink.impact(room, record.light, stored(seed, &record, &surface, flux));
             record.impacts = record.impacts.saturating_add(1);
         }
-        let u = rng::uniforms(
-            seed,
-            Purpose::Scatter,
-            record.light,
-            record.photon,
-            record.bounce,
-            0,
-        );
+        let u =
+            rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
         let (event, after) =
             scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
         sink.absorb(room, flux - after);
