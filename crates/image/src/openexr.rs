@@ -166,7 +166,34 @@ impl Loaded {
 pub fn read_exr(path: &Path) -> Result<Loaded, ImageError> {
     let read = |source: io::Error| ImageError::Read { path: path.to_owned(), source };
     let malformed = |reason: String| ImageError::Malformed { path: path.to_owned(), reason };
-    let file = BufReader::new(File::open(path).map_err(read)?);
+    let failed = |error| match error {
+        Error::Io(source) if source.kind() != io::ErrorKind::UnexpectedEof => read(source),
+        other => malformed(other.to_string()),
+    };
+    let file = File::open(path).map_err(read)?;
+    let length = file.metadata().map_err(read)?.len();
+    let chunks = exr::block::read(BufReader::new(file), false).map_err(failed)?;
+    // A damaged size must not ask for terabytes: no compression gets beyond a factor of 2048.
+    let most = length.saturating_mul(2048);
+    for header in chunks.headers() {
+        let (size, pixel) = (header.layer_size, header.channels.bytes_per_pixel);
+        let bytes =
+            [size.width(), size.height(), pixel].map(|n| n as u128).iter().product::<u128>();
+        let block = match header.blocks {
+            BlockDescription::ScanLines => 0,
+            BlockDescription::Tiles(tiles) => {
+                let tile = tiles.tile_size;
+                [tile.width(), tile.height(), pixel].map(|n| n as u128).iter().product()
+            }
+        };
+        if bytes.max(block) > u128::from(most).max(1 << 24) {
+            return Err(malformed(format!(
+                "its header claims {} x {} pixels in a file of {length} bytes",
+                size.width(),
+                size.height()
+            )));
+        }
+    }
     let image = exr::image::read::read()
         .no_deep_data()
         .largest_resolution_level()
@@ -174,11 +201,8 @@ pub fn read_exr(path: &Path) -> Result<Loaded, ImageError> {
         .all_layers()
         .all_attributes()
         .non_parallel()
-        .from_buffered(file)
-        .map_err(|error| match error {
-            Error::Io(source) if source.kind() != io::ErrorKind::UnexpectedEof => read(source),
-            other => malformed(other.to_string()),
-        })?;
+        .from_chunks(chunks)
+        .map_err(failed)?;
     let Some(first) = image.layer_data.first() else {
         return Err(malformed("it has no layer".into()));
     };
@@ -282,6 +306,25 @@ mod tests {
             let error = read_exr(&path).unwrap_err();
             assert!(matches!(error, ImageError::Malformed { .. }), "{cut}: {error}");
             assert!(error.to_string().contains("a.exr"), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_flipped_byte_is_an_error_or_another_picture_but_no_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.exr");
+        let pixels = noise(9 * 20);
+        write_exr(&path, &Picture { width: 9, height: 20, pixels: &pixels }).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        for at in (0..1200).step_by(5).chain((1200..bytes.len()).step_by(197)) {
+            for flip in [0x01, 0x80, 0xff] {
+                let mut bad = bytes.clone();
+                bad[at] ^= flip;
+                std::fs::write(&path, &bad).unwrap();
+                if let Err(error) = read_exr(&path) {
+                    assert_eq!(error.exit_code(), 4, "{at}: {error}");
+                }
+            }
         }
     }
 }
