@@ -1,25 +1,62 @@
-//! Scenes: OBJ, MTL and scene.toml in, a stream of world-space triangles out.
+//! A building goes in, triangles come out.
+//!
+//! In: an OBJ file with its MTL, the same compressed (`.obj.zst`), or a `scene.toml` that places
+//! meshes, completes materials and adds lights, cameras and names of rooms (its format is in this
+//! crate's README). Out: [`Scene::for_each_triangle`], a stream of world-space `f32` triangles in an
+//! order that never changes, with materials ([`Material`]) and lights ([`Scene::lights`]) beside it.
+//!
+//! What stays in memory is each *different* mesh once and one placement per instance; a thousand
+//! chairs are one chair and a thousand short rows of numbers. The world is made again on every pass.
+//!
+//! ```no_run
+//! let scene = enf_scene::load("house.obj.zst".as_ref(), &enf_scene::LoadOptions::default())?;
+//! let mut area = 0.0;
+//! scene.for_each_triangle(|t| area += f64::from(t.corners[0][2]));
+//! # Ok::<(), enf_scene::SceneError>(())
+//! ```
+//!
+//! Rules of the stream:
+//!
+//! - Vertices are read as `f64`, placed, turned z-up, scaled to metres, moved by the scene origin, and
+//!   rounded to `f32` once. Zero is never negative. Equal input vertices give equal bits.
+//! - The order is: meshes as the scene file lists them, instances as listed, faces as the OBJ has them.
+//! - Triangles without area, or with a vertex that is not finite, have no index: they are counted in a
+//!   warning. So are doors, when they are to be open.
+//! - Front faces are counter-clockwise; a mirroring instance is turned over to keep them so.
+//! - An *object* is an OBJ object (`o`; where there is none, a named `g`) of a mesh listed without
+//!   `instances`, or one instance. A *light* is an object times an emitting material.
 
+mod doors;
 mod error;
+mod file;
+mod frame;
+mod input;
+mod lights;
+mod load;
+mod materials;
+mod mtl;
+mod obj;
+mod polygon;
+mod stream;
+mod views;
 
 pub use error::SceneError;
+pub use file::{LUMENS_PER_WATT, luminance, parse_units};
+pub use frame::{Frame, Up};
+pub use load::load;
+pub use views::load_views;
 
 use enf_layout::{
     light::{EmitterRecord, LightRecord},
     material::MaterialRecord,
     room::ViewRecord,
 };
-use std::path::{Path, PathBuf};
-
-/// Which axis of the input points up. The store's is always z.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Up {
-    /// y points up, as in most modelling programs: `(x, y, z)` becomes `(x, -z, y)`.
-    Y,
-    /// z points up, as in CAD and BIM.
-    #[default]
-    Z,
-}
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    convert::Infallible,
+    ops::Range,
+    path::PathBuf,
+};
 
 /// What becomes of doors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -27,14 +64,14 @@ pub enum Doors {
     /// They stay where they are, mostly shut.
     #[default]
     AsModelled,
-    /// Objects recognised as doors are left out.
+    /// Objects recognised as doors (by IFC type or name, or `door = true`) are left out.
     Open,
 }
 
 /// How to read a scene.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LoadOptions {
-    /// Metres per unit of the input; overrides the scene file (default: metres).
+    /// Metres per unit of the input; overrides the scene file (default: 1).
     pub units: Option<f64>,
     /// Up axis of the input; overrides the scene file (default: z).
     pub up: Option<Up>,
@@ -42,38 +79,35 @@ pub struct LoadOptions {
     pub doors: Doors,
 }
 
-/// How the input's coordinates become the store's: `rotate(up) * units * p - origin`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Frame {
-    /// Metres per unit of the input.
-    pub units: f64,
-    /// Up axis of the input.
-    pub up: Up,
-    /// Subtracted last, m.
-    pub origin: [f64; 3],
-}
-
 /// A scene, ready to be streamed.
 #[derive(Debug)]
 pub struct Scene {
-    /// Name: from the scene file, else the file's stem.
+    /// Name: from the scene file, else the file's stem; safe as a file name.
     pub name: String,
-    /// Materials; index = material id.
+    /// Materials in order of first use; index = material id.
     pub materials: Vec<Material>,
     /// Cameras, in store coordinates.
     pub views: Vec<View>,
     /// Boxes that the scene file calls rooms, in store coordinates.
     pub hints: Vec<RoomHint>,
-    /// What was subtracted from the coordinates before they were rounded to `f32`, m.
+    /// What was subtracted from the coordinates before they were rounded to `f32`, m: 0, or, when some
+    /// coordinate is beyond 4096 m, the bounds' centre in whole metres.
     pub origin: [f64; 3],
     /// Lower and upper corner of all triangles and point lights, store coordinates, m.
     pub bounds: ([f32; 3], [f32; 3]),
-    /// The tolerance of every intersection, m.
+    /// The tolerance of every intersection, m: 2^-19 times the next power of two at or above the
+    /// largest coordinate and the diagonal of the bounds.
     pub delta: f32,
-    /// What the user should know; one sentence each.
+    /// What the user should know, one sentence each, with file and place.
     pub warnings: Vec<String>,
-    /// Every file that was read.
+    /// Every file that was read, in the order of reading.
     pub inputs: Vec<InputFile>,
+    geometry: stream::Geometry,
+    count: u64,
+    skipped: u64,
+    /// (object, material) of the lights whose material is a copy: see [`Scene::lights`].
+    copies: BTreeMap<(u32, u32), u32>,
+    points: Vec<(String, LightRecord)>,
 }
 
 /// A file that was read.
@@ -88,7 +122,8 @@ pub struct InputFile {
 /// A material with its name.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Material {
-    /// Name in the MTL or scene file.
+    /// Name in the MTL or scene file; with an addition where two files mean different things by one
+    /// name, or lights of one material need different radiances.
     pub name: String,
     /// What the photons see.
     pub record: MaterialRecord,
@@ -97,7 +132,7 @@ pub struct Material {
 /// A named camera.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
-    /// Name; safe as a file name.
+    /// Name; unique, and safe as a file name.
     pub name: String,
     /// The camera, in store coordinates.
     pub record: ViewRecord,
@@ -130,63 +165,175 @@ pub struct SceneTriangle {
 /// All lights of a scene.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Lights {
-    /// The lights; index = light id.
+    /// The lights; index = light id. Area lights first (by object, then material), then points.
     pub records: Vec<LightRecord>,
-    /// Emitting triangles, light by light.
+    /// Emitting triangles, light by light, ascending by triangle.
     pub emitters: Vec<EmitterRecord>,
     /// Names, one per light.
     pub names: Vec<String>,
 }
 
-/// Reads a scene.
-pub fn load(path: &Path, _options: &LoadOptions) -> Result<Scene, SceneError> {
-    Err(SceneError::whole(path, "is not read yet", "wait"))
-}
-
-/// Reads a file of `[[view]]` tables.
-pub fn load_views(path: &Path, _frame: &Frame) -> Result<Vec<View>, SceneError> {
-    Err(SceneError::whole(path, "is not read yet", "wait"))
-}
-
 impl Scene {
     /// Number of triangles in the stream.
     pub fn triangle_count(&self) -> u64 {
-        0
+        self.count
     }
 
-    /// Streams the triangles in global order.
-    pub fn for_each_triangle(&self, _f: impl FnMut(SceneTriangle)) {}
+    /// Number of triangles in the input that are not in the stream because they have no area after
+    /// rounding or a vertex that is not finite (open doors do not count).
+    pub fn skipped_triangles(&self) -> u64 {
+        self.skipped
+    }
 
-    /// Streams the triangles in global order until `f` fails.
+    /// Streams all triangles in global order. Keeps nothing: every call makes the world again.
+    pub fn for_each_triangle(&self, f: impl FnMut(SceneTriangle)) {
+        self.for_each_triangle_in(0..u32::MAX, f);
+    }
+
+    /// Streams the triangles whose index is in the range; work before it is skipped instance by
+    /// instance, so that threads can share a scene.
+    pub fn for_each_triangle_in(&self, range: Range<u32>, mut f: impl FnMut(SceneTriangle)) {
+        let done: Result<(), Infallible> = self.walk(range, |t| {
+            f(t);
+            Ok(())
+        });
+        match done {
+            Ok(()) => {}
+        }
+    }
+
+    /// Streams all triangles in global order until `f` fails; returns its error.
     pub fn try_for_each_triangle<E>(
         &self,
-        _f: impl FnMut(SceneTriangle) -> Result<(), E>,
+        f: impl FnMut(SceneTriangle) -> Result<(), E>,
     ) -> Result<(), E> {
+        self.walk(0..u32::MAX, f)
+    }
+
+    fn walk<E>(
+        &self,
+        range: Range<u32>,
+        mut f: impl FnMut(SceneTriangle) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let mut scratch = Vec::new();
+        let uses = &self.geometry.uses;
+        for (u, used) in uses.iter().enumerate() {
+            let end = uses.get(u + 1).and_then(|n| n.first.first().copied());
+            if used.first.is_empty() || end.is_some_and(|e| e <= range.start) {
+                continue;
+            }
+            let begin = used.first.partition_point(|&first| first <= range.start).max(1) - 1;
+            for i in begin..used.first.len() {
+                let mut index = used.first[i];
+                if index >= range.end {
+                    return Ok(());
+                }
+                let placed = self.geometry.place(used, i, &mut scratch);
+                for run in self.geometry.runs(used, i) {
+                    let material = self.material_of(run.object, run.material);
+                    for t in run.triangles {
+                        let Ok(corners) = placed.corners(t) else { continue };
+                        if index >= range.end {
+                            return Ok(());
+                        }
+                        if index >= range.start {
+                            f(SceneTriangle { index, corners, material, object: run.object })?;
+                        }
+                        index += 1;
+                    }
+                }
+            }
+        }
         Ok(())
     }
 
-    /// Name of an object.
+    fn material_of(&self, object: u32, material: u32) -> u32 {
+        if self.copies.is_empty() {
+            return material;
+        }
+        self.copies.get(&(object, material)).copied().unwrap_or(material)
+    }
+
+    /// Number of objects; ids are below it.
+    pub fn object_count(&self) -> u32 {
+        self.geometry
+            .uses
+            .last()
+            .map_or(0, |u| u.first_object + u.objects(&self.geometry.meshes) as u32)
+    }
+
+    /// Name of an object: the OBJ file's, or `mesh/number` for an instance. Objects keep their ids and
+    /// names whether doors are open or not.
     pub fn object_name(&self, object: u32) -> String {
-        object.to_string()
+        load::object_name(&self.geometry, object)
     }
 
-    /// Objects recognised as doors, ascending.
+    /// Objects recognised as doors, ascending; with [`Doors::Open`], those that were left out.
     pub fn door_objects(&self) -> Vec<u32> {
-        Vec::new()
+        let mut doors = BTreeSet::new();
+        for used in &self.geometry.uses {
+            for part in &self.geometry.meshes[used.mesh].parts {
+                if used.is_door(part) {
+                    let instances = if used.whole { used.placements.len() } else { 1 };
+                    doors.extend((0..instances).map(|i| used.object(i, part)));
+                }
+            }
+        }
+        doors.into_iter().collect()
     }
 
-    /// The scene's lights.
+    /// The scene's lights: each object times each of its emitting materials, then the points.
+    ///
+    /// The flux of an area light is pi times its area times its material's radiance. Where a scene file
+    /// gives the flux of each light, and lights of one material have different areas, they have copies
+    /// of the material with a radiance each. Lights without area are left out. May be empty: a scene
+    /// without light is the caller's to refuse.
     pub fn lights(&self) -> Lights {
-        Lights::default()
+        let emits: Vec<bool> =
+            self.materials.iter().map(|m| m.record.emission.iter().any(|&v| v > 0.0)).collect();
+        let mut found = Vec::new();
+        let mut scratch = Vec::new();
+        for used in &self.geometry.uses {
+            if !used.materials.iter().any(|&m| emits[m as usize]) {
+                continue;
+            }
+            for (i, &first) in used.first.iter().enumerate() {
+                let mut index = first;
+                let placed = self.geometry.place(used, i, &mut scratch);
+                for run in self.geometry.runs(used, i) {
+                    let material = self.material_of(run.object, run.material);
+                    for t in run.triangles {
+                        let Ok(corners) = placed.corners(t) else { continue };
+                        if emits[material as usize] {
+                            let object = run.object;
+                            found.push(lights::Emitting { object, material, index, corners });
+                        }
+                        index += 1;
+                    }
+                }
+            }
+        }
+        let mut lights = lights::gather(found, &self.materials, |object| self.object_name(object));
+        for (name, record) in &self.points {
+            lights.records.push(*record);
+            lights.names.push(name.clone());
+        }
+        lights
     }
 
-    /// Heap bytes that this scene keeps.
+    /// Heap bytes that this scene keeps. A pass over the stream adds 768 KiB at most.
     pub fn resident_bytes(&self) -> u64 {
-        0
+        let names: usize = self.materials.iter().map(|m| m.name.capacity()).sum();
+        let lists = self.materials.capacity() * size_of::<Material>()
+            + self.points.capacity() * size_of::<(String, LightRecord)>()
+            + self.views.capacity() * size_of::<View>()
+            + self.hints.capacity() * size_of::<RoomHint>()
+            + self.copies.len() * 32;
+        self.geometry.bytes() + (names + lists) as u64
     }
 
-    /// How input coordinates become store coordinates.
+    /// How the input's coordinates become store coordinates: what [`load_views`] needs.
     pub fn frame(&self) -> Frame {
-        Frame { units: 1.0, up: Up::Z, origin: self.origin }
+        self.geometry.frame
     }
 }

@@ -1,0 +1,878 @@
+//! Puts a scene together: files, materials, placements, then one pass that measures what the stream
+//! will hold.
+
+use crate::{
+    Doors, Frame, InputFile, LoadOptions, Material, RoomHint, Scene, SceneError, Up,
+    file::{self, MaterialTable, Parsed, PointKind, SceneFile},
+    frame::Placements,
+    lights, materials,
+    mtl::{self, Spec},
+    obj::{self, Mesh},
+    stream::{Geometry, Skipped, Use},
+    views,
+};
+use enf_layout::{
+    NONE,
+    light::{LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord},
+};
+use glam::{DVec3, Vec3};
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    path::{Path, PathBuf},
+};
+use toml::Spanned;
+
+/// Beyond this many metres from zero, coordinates are stored relative to a scene origin.
+const FAR: f64 = 4096.0;
+/// No scene is larger, m: `f32` would have no millimetres left, by far.
+const LARGEST: f64 = 1e6;
+/// Larger ones are probably in other units, m.
+const SUSPICIOUS: f64 = 5e3;
+/// Name of what has no material.
+const UNNAMED: &str = "unnamed";
+
+/// Reads a scene: `.obj`, `.obj.zst` or `.toml`.
+///
+/// Errors name the file, the line or object, and a remedy: files that are missing, damaged or of
+/// another kind; faces that use vertices that are not there; unknown keys; a scene without any
+/// triangle. What can be drawn all the same is a warning in [`Scene::warnings`]: missing materials,
+/// triangles without area, vertices that are not finite.
+pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
+    let kind = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    if let Some(units) = options.units
+        && !file::usable_unit(units)
+    {
+        return Err(SceneError::whole(
+            path,
+            format!("units of {units} m"),
+            "give --units m, cm, mm, ft, in or a number of metres",
+        ));
+    }
+    if kind.ends_with(".toml") {
+        from_toml(path, options)
+    } else if kind.ends_with(".obj") || kind.ends_with(".obj.zst") {
+        let mut loader = Loader::default();
+        let mesh = loader.mesh(path)?;
+        loader.uses.push(Placing {
+            mesh,
+            name: stem(path),
+            placements: Placements::identity(),
+            whole: false,
+            door: None,
+            remap: BTreeMap::new(),
+        });
+        let frame = Frame {
+            units: options.units.unwrap_or(1.0),
+            up: options.up.unwrap_or_default(),
+            origin: [0.0; 3],
+        };
+        loader.finish(path, stem(path), frame, options, None)
+    } else {
+        Err(SceneError::whole(
+            path,
+            "is no kind of scene that is read here",
+            "give a .obj, a .obj.zst or a scene file that ends in .toml",
+        ))
+    }
+}
+
+/// `duplex` of `data/duplex.obj.zst`.
+fn stem(path: &Path) -> String {
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let mut name = &*name;
+    for end in [".zst", ".obj", ".toml"] {
+        let cut = name.len().saturating_sub(end.len());
+        if name.get(cut..).is_some_and(|e| e.eq_ignore_ascii_case(end)) {
+            name = &name[..cut];
+        }
+    }
+    if file::name_problem(name).is_some() { "scene".into() } else { name.into() }
+}
+
+/// A `[[mesh]]` before its materials are known.
+struct Placing {
+    mesh: usize,
+    name: String,
+    placements: Placements,
+    whole: bool,
+    door: Option<bool>,
+    remap: BTreeMap<String, String>,
+}
+
+/// Files read so far.
+#[derive(Default)]
+struct Loader {
+    meshes: Vec<Mesh>,
+    /// MTL files of each mesh.
+    mesh_libraries: Vec<Vec<PathBuf>>,
+    libraries: BTreeMap<PathBuf, BTreeMap<String, Spec>>,
+    by_path: BTreeMap<PathBuf, usize>,
+    uses: Vec<Placing>,
+    inputs: Vec<InputFile>,
+    warnings: Vec<String>,
+}
+
+impl Loader {
+    /// Reads a mesh and its MTL files, once.
+    fn mesh(&mut self, path: &Path) -> Result<usize, SceneError> {
+        let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        if let Some(&mesh) = self.by_path.get(&key) {
+            return Ok(mesh);
+        }
+        let (mut mesh, input) = obj::read(path)?;
+        self.inputs.push(input);
+        self.warnings.append(&mut mesh.warnings);
+        let mut libraries = Vec::new();
+        for (library, line) in &mesh.libraries {
+            let found = find_libraries(path, library);
+            if found.is_empty() {
+                self.warnings.push(format!(
+                    "{}:{line}: the material library \"{library}\" is missing; put it beside the \
+                     OBJ file",
+                    path.display()
+                ));
+            }
+            for at in found {
+                if !self.libraries.contains_key(&at) {
+                    let (specs, input) = mtl::read(&at)?;
+                    self.inputs.push(input);
+                    self.libraries.insert(at.clone(), specs);
+                }
+                libraries.push(at);
+            }
+        }
+        self.meshes.push(mesh);
+        self.mesh_libraries.push(libraries);
+        self.by_path.insert(key, self.meshes.len() - 1);
+        Ok(self.meshes.len() - 1)
+    }
+
+    /// What the MTL files of a mesh say about a material, or, for a name that the scene file brought
+    /// in, any MTL file of the scene.
+    fn spec(&self, mesh: usize, name: &str, anywhere: bool) -> Option<&Spec> {
+        let own = self.mesh_libraries[mesh].iter().find_map(|l| self.libraries[l].get(name));
+        own.or_else(|| {
+            anywhere.then(|| self.libraries.values().find_map(|l| l.get(name))).flatten()
+        })
+    }
+}
+
+/// The files that an `mtllib` line means: the whole rest of the line, or its words; as given, or beside
+/// the OBJ file.
+fn find_libraries(obj: &Path, given: &str) -> Vec<PathBuf> {
+    let folder = obj.parent().unwrap_or(Path::new(""));
+    let find = |name: &str| {
+        let name = name.replace('\\', "/");
+        let base = name.rsplit('/').next().unwrap_or(&name);
+        [folder.join(&name), folder.join(base)].into_iter().find(|p| p.is_file())
+    };
+    match find(given) {
+        Some(one) => vec![one],
+        None => given.split_whitespace().filter_map(find).collect(),
+    }
+}
+
+fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
+    let (parsed, input) = file::parse::<SceneFile>(path)?;
+    let scene = &parsed.value;
+    let mut loader = Loader { inputs: vec![input], ..Loader::default() };
+    let name = match &scene.name {
+        Some(name) => {
+            if let Some(problem) = file::name_problem(name.get_ref()) {
+                return Err(parsed.error(name, problem, "use letters and digits"));
+            }
+            name.get_ref().clone()
+        }
+        None => stem(path),
+    };
+    let folder = path.parent().unwrap_or(Path::new(""));
+    if scene.mesh.is_empty() {
+        return Err(SceneError::whole(
+            path,
+            "no [[mesh]] in it",
+            "name at least one OBJ file: [[mesh]] file = \"building.obj\"",
+        ));
+    }
+    for at in &scene.mesh {
+        let table = at.get_ref();
+        let kind = table.file.to_ascii_lowercase();
+        if !(kind.ends_with(".obj") || kind.ends_with(".obj.zst")) {
+            return Err(parsed.error(
+                at,
+                format!("mesh \"{}\" is no OBJ file", table.file),
+                "give a .obj or .obj.zst",
+            ));
+        }
+        let file = folder.join(&table.file);
+        if !file.exists() {
+            return Err(parsed.error(
+                at,
+                format!("mesh \"{}\" is missing", file.display()),
+                "file names are relative to the scene file",
+            ));
+        }
+        let mesh = loader.mesh(&file)?;
+        let from_file = match &table.instances_file {
+            Some(_) if table.instances.is_some() => {
+                return Err(parsed.error(
+                    at,
+                    "both \"instances\" and \"instances_file\"",
+                    "give one of them",
+                ));
+            }
+            Some(instances) => {
+                let (placements, input) = file::read_instances(&folder.join(instances))?;
+                loader.inputs.push(input);
+                Some(placements)
+            }
+            None => None,
+        };
+        let whole = table.instances.is_some() || from_file.is_some();
+        let mut placements =
+            from_file.or_else(|| table.instances.clone()).unwrap_or_else(Placements::identity);
+        placements.shrink();
+        let name = table.name.clone().unwrap_or_else(|| stem(&file));
+        for from in table.remapped() {
+            let known = loader.meshes[mesh].materials.iter();
+            if !known.map(|m| m.as_deref().unwrap_or(UNNAMED)).any(|m| m == from) {
+                loader.warnings.push(format!(
+                    "{}: mesh \"{name}\" has no material \"{from}\" to replace",
+                    path.display()
+                ));
+            }
+        }
+        // A mesh that is placed as a whole may be a door by its own name.
+        let door = table.door.or((whole && crate::doors::is_door(&name)).then_some(true));
+        let remap = table.materials.clone();
+        loader.uses.push(Placing { mesh, name, placements, whole, door, remap });
+    }
+    let frame = Frame {
+        units: options.units.or(scene.units.map(|u| u.0)).unwrap_or(1.0),
+        up: options.up.or(scene.up).unwrap_or_default(),
+        origin: [0.0; 3],
+    };
+    loader.finish(path, name, frame, options, Some(&parsed))
+}
+
+impl file::MeshTable {
+    fn remapped(&self) -> impl Iterator<Item = &str> {
+        self.materials.keys().map(String::as_str)
+    }
+}
+
+/// Materials of the scene, in order of first use.
+#[derive(Default)]
+struct Table {
+    materials: Vec<Material>,
+    power: Vec<Option<[f64; 3]>>,
+    /// Name to what was said and the id it got; one name may mean two things in two MTL files.
+    ids: BTreeMap<String, Vec<(Spec, u32)>>,
+    highlights: usize,
+    textured: usize,
+    scaled: Vec<String>,
+}
+
+impl Table {
+    fn id(&mut self, name: &str, spec: Spec, library: &Path) -> u32 {
+        let known = self.ids.entry(name.into()).or_default();
+        if let Some((_, id)) = known.iter().find(|k| k.0 == spec) {
+            return *id;
+        }
+        let id = self.materials.len() as u32;
+        let name =
+            if known.is_empty() { name.to_string() } else { format!("{name} ({})", stem(library)) };
+        let mapped = materials::map(&spec);
+        self.highlights += usize::from(mapped.highlight);
+        self.textured += usize::from(spec.textured);
+        if mapped.scaled {
+            self.scaled.push(name.clone());
+        }
+        self.power.push(spec.power);
+        self.materials.push(Material { name, record: mapped.record });
+        known.push((spec, id));
+        id
+    }
+
+    fn emits(&self, id: u32) -> bool {
+        let record = &self.materials[id as usize].record;
+        self.power[id as usize].is_some() || record.emission.iter().any(|&v| v > 0.0)
+    }
+}
+
+/// Some names, quoted, for a message.
+fn some_names(names: &[String]) -> String {
+    let shown: Vec<String> = names.iter().take(5).map(|n| format!("\"{n}\"")).collect();
+    let rest = names.len().saturating_sub(5);
+    let more = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+    format!("{}{more}", shown.join(", "))
+}
+
+impl Loader {
+    /// Gives every use its scene materials.
+    fn resolve(
+        &mut self,
+        path: &Path,
+        parsed: Option<&Parsed<SceneFile>>,
+    ) -> Result<(Table, Vec<Vec<u32>>), SceneError> {
+        let mut overrides: BTreeMap<&str, &Spanned<MaterialTable>> = BTreeMap::new();
+        for at in parsed.iter().flat_map(|p| &p.value.material) {
+            if let (Some(p), true) = (parsed, overrides.insert(&at.get_ref().name, at).is_some()) {
+                return Err(p.error(
+                    at,
+                    format!("material \"{}\" comes twice", at.get_ref().name),
+                    "merge the two tables",
+                ));
+            }
+        }
+        let mut table = Table::default();
+        let mut used: BTreeSet<&str> = BTreeSet::new();
+        let mut per_use = Vec::with_capacity(self.uses.len());
+        let mut missing: BTreeMap<usize, Vec<String>> = BTreeMap::new();
+        let mut bare: BTreeSet<usize> = BTreeSet::new();
+        for placing in &self.uses {
+            let mesh = &self.meshes[placing.mesh];
+            let mut ids = Vec::with_capacity(mesh.materials.len());
+            for local in &mesh.materials {
+                let local_name = local.as_deref().unwrap_or(UNNAMED);
+                let remapped = placing.remap.get(local_name);
+                let name = remapped.map_or(local_name, String::as_str);
+                let said = self.spec(placing.mesh, name, remapped.is_some()).cloned();
+                let spec = match overrides.get_key_value(name) {
+                    Some((&key, at)) => {
+                        used.insert(key);
+                        let mut spec = said.unwrap_or_default();
+                        if let (Some(p), Err(e)) = (parsed, at.get_ref().apply(&mut spec)) {
+                            let what = format!("material \"{name}\": {e}");
+                            return Err(p.error(*at, what, "correct the table"));
+                        }
+                        spec
+                    }
+                    None => said.unwrap_or_else(|| {
+                        if local.is_none() && remapped.is_none() {
+                            bare.insert(placing.mesh);
+                        } else {
+                            let names = missing.entry(placing.mesh).or_default();
+                            if !names.iter().any(|n| n == name) {
+                                names.push(name.into());
+                            }
+                        }
+                        materials::default_spec()
+                    }),
+                };
+                ids.push(table.id(name, spec, &mesh.file));
+            }
+            per_use.push(ids);
+        }
+        for (mesh, names) in missing {
+            self.warnings.push(format!(
+                "{}: no definition of material {}; grey {} is used: add it to the MTL file, or as a \
+                 [[material]] to a scene file",
+                self.meshes[mesh].file.display(),
+                some_names(&names),
+                materials::DEFAULT_GREY
+            ));
+        }
+        for mesh in bare {
+            self.warnings.push(format!(
+                "{}: some faces have no material (usemtl); grey {} is used",
+                self.meshes[mesh].file.display(),
+                materials::DEFAULT_GREY
+            ));
+        }
+        for (name, at) in &overrides {
+            if !used.contains(name) {
+                // Checked all the same.
+                if let (Some(p), Err(e)) = (parsed, at.get_ref().apply(&mut Spec::default())) {
+                    let what = format!("material \"{name}\": {e}");
+                    return Err(p.error(*at, what, "correct the table"));
+                }
+                self.warnings
+                    .push(format!("{}: no mesh uses the material \"{name}\"", path.display()));
+            }
+        }
+        if table.highlights > 0 {
+            self.warnings.push(format!(
+                "{}: {} materials have a highlight (Ks) that is not rendered; illum 3 makes it a \
+                 mirror",
+                path.display(),
+                table.highlights
+            ));
+        }
+        if table.textured > 0 {
+            self.warnings.push(format!(
+                "{}: the textures of {} materials are not rendered; their plain colours are",
+                path.display(),
+                table.textured
+            ));
+        }
+        if !table.scaled.is_empty() {
+            self.warnings.push(format!(
+                "{}: reflectances below 0, or that sum to more than 1, were brought into range in \
+                 material {}",
+                path.display(),
+                some_names(&table.scaled)
+            ));
+        }
+        Ok((table, per_use))
+    }
+
+    fn finish(
+        mut self,
+        path: &Path,
+        name: String,
+        frame: Frame,
+        options: &LoadOptions,
+        parsed: Option<&Parsed<SceneFile>>,
+    ) -> Result<Scene, SceneError> {
+        let (mut table, per_use) = self.resolve(path, parsed)?;
+        self.split_components(&table, &per_use);
+
+        let mut uses = Vec::with_capacity(self.uses.len());
+        let mut objects = 0u64;
+        for (placing, materials) in self.uses.into_iter().zip(per_use) {
+            let used = Use {
+                mesh: placing.mesh,
+                name: placing.name,
+                placements: placing.placements,
+                whole: placing.whole,
+                door: placing.door,
+                first_object: objects as u32,
+                materials,
+                first: Vec::new(),
+            };
+            objects += used.objects(&self.meshes) as u64;
+            if objects >= u64::from(NONE) {
+                return Err(SceneError::whole(path, "more than 2^32 objects", "merge objects"));
+            }
+            uses.push(used);
+        }
+        let mut geometry =
+            Geometry { meshes: self.meshes, uses, frame, open: options.doors == Doors::Open };
+        let mut warnings = self.warnings;
+        geometry.frame.origin = scene_origin(&geometry);
+        let frame = geometry.frame;
+        if frame.origin != [0.0; 3] {
+            warnings.push(format!(
+                "{}: coordinates are large; {:?} m is subtracted from them",
+                path.display(),
+                frame.origin
+            ));
+        }
+        let measured = measure(&mut geometry, path, |material| table.emits(material))?;
+        let points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
+        let views = parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
+        let hints = parsed.map_or(Ok(Vec::new()), |p| room_hints(p, &frame))?;
+
+        if let Some((object, corners)) = measured.first_flat {
+            warnings.push(format!(
+                "{}: {} triangles without area are left out (first in \"{}\" at {corners:?})",
+                path.display(),
+                measured.flat,
+                object_name(&geometry, object)
+            ));
+        }
+        if let Some(object) = measured.first_not_finite {
+            warnings.push(format!(
+                "{}: {} triangles with vertices that are not finite are left out (first in \"{}\")",
+                path.display(),
+                measured.not_finite,
+                object_name(&geometry, object)
+            ));
+        }
+        let dark = measured.areas.values().filter(|&&a| a == 0.0).count();
+        if dark > 0 {
+            warnings.push(format!("{}: {dark} lights without area are left out", path.display()));
+        }
+        let (mut lo, mut hi) = measured.bounds;
+        for (_, p) in &points {
+            for c in 0..3 {
+                lo[c] = lo[c].min(p.position[c]);
+                hi[c] = hi[c].max(p.position[c]);
+            }
+        }
+        let diagonal = distance(lo, hi);
+        if diagonal > LARGEST {
+            return Err(SceneError::whole(
+                path,
+                format!("the scene is {diagonal:.3e} m across"),
+                "give the units of the file (--units mm, or units = \"mm\" in a scene file), or \
+                 remove what lies far away",
+            ));
+        }
+        if !(0.1..=SUSPICIOUS).contains(&diagonal) {
+            warnings.push(format!(
+                "{}: the scene is {diagonal:.4} m across: are its units right? (--units)",
+                path.display()
+            ));
+        }
+        let copies = lights::set_power(&mut table.materials, &table.power, &measured.areas, path)?;
+        Ok(Scene {
+            name,
+            materials: table.materials,
+            views,
+            hints,
+            origin: frame.origin,
+            bounds: (lo, hi),
+            delta: tolerance(lo, hi),
+            warnings,
+            inputs: self.inputs,
+            geometry,
+            count: measured.count,
+            skipped: measured.flat + measured.not_finite,
+            copies,
+            points,
+        })
+    }
+
+    /// Faces outside every object: those that emit become one object for each connected component, so
+    /// that each is a light of its own.
+    fn split_components(&mut self, table: &Table, per_use: &[Vec<u32>]) {
+        for (m, mesh) in self.meshes.iter_mut().enumerate() {
+            let Some(unnamed) = mesh.objects.iter().position(Option::is_none) else { continue };
+            let emits = |local: u32| {
+                self.uses.iter().zip(per_use).any(|(placing, ids)| {
+                    placing.mesh == m && !placing.whole && table.emits(ids[local as usize])
+                })
+            };
+            let emitting: Vec<u32> =
+                (0..mesh.materials.len() as u32).filter(|&l| emits(l)).collect();
+            for local in emitting {
+                split(mesh, unnamed as u32, local);
+            }
+        }
+    }
+}
+
+/// Gives each connected component of a mesh's triangles of one object and material an object of its
+/// own. Vertices at one place are one vertex.
+fn split(mesh: &mut Mesh, object: u32, material: u32) {
+    let mut chosen = Vec::new();
+    let mut begin = 0;
+    for part in &mesh.parts {
+        if (part.object, part.material) == (object, material) {
+            chosen.extend(begin..part.end);
+        }
+        begin = part.end;
+    }
+    let key = |v: u32| (mesh.positions[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
+    let mut vertices: Vec<u32> = chosen.iter().flat_map(|&t| mesh.triangles[t as usize]).collect();
+    vertices.sort_unstable_by_key(|&v| (key(v), v));
+    vertices.dedup();
+    // Places: equal positions share a number.
+    let mut place_of: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut places = 0u32;
+    for (i, &v) in vertices.iter().enumerate() {
+        if i > 0 && key(vertices[i - 1]) != key(v) {
+            places += 1;
+        }
+        place_of.insert(v, places);
+    }
+    let mut parent: Vec<u32> = (0..=places).collect();
+    fn root(parent: &mut [u32], mut i: u32) -> u32 {
+        while parent[i as usize] != i {
+            parent[i as usize] = parent[parent[i as usize] as usize];
+            i = parent[i as usize];
+        }
+        i
+    }
+    for &t in &chosen {
+        let [a, b, c] = mesh.triangles[t as usize].map(|v| place_of[&v]);
+        for (p, q) in [(a, b), (b, c)] {
+            let (p, q) = (root(&mut parent, p), root(&mut parent, q));
+            parent[p.max(q) as usize] = p.min(q);
+        }
+    }
+    let label = mesh.materials[material as usize].clone();
+    let label = label.as_deref().unwrap_or(UNNAMED).to_string();
+    let mut component: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut parts = Vec::with_capacity(mesh.parts.len());
+    let mut begin = 0;
+    for part in std::mem::take(&mut mesh.parts) {
+        if (part.object, part.material) != (object, material) {
+            parts.push(part);
+            begin = part.end;
+            continue;
+        }
+        for t in begin..part.end {
+            let at = root(&mut parent, place_of[&mesh.triangles[t as usize][0]]);
+            let number = component.len() as u32 + 1;
+            let own = *component.entry(at).or_insert_with(|| {
+                mesh.objects.push(Some(format!("{label} {number}")));
+                mesh.objects.len() as u32 - 1
+            });
+            match parts.last_mut() {
+                Some(obj::Part { end, object, material, .. })
+                    if (*object, *material, *end) == (own, part.material, t) =>
+                {
+                    *end = t + 1;
+                }
+                _ => parts.push(obj::Part { end: t + 1, object: own, ..part }),
+            }
+        }
+        begin = part.end;
+    }
+    parts.shrink_to_fit();
+    mesh.parts = parts;
+}
+
+/// Name of an object: the OBJ file's, or the mesh's with the number of the instance.
+pub(crate) fn object_name(geometry: &Geometry, object: u32) -> String {
+    let at = geometry.uses.partition_point(|u| u.first_object <= object);
+    let Some(used) = at.checked_sub(1).map(|i| &geometry.uses[i]) else {
+        return format!("object {object}");
+    };
+    let own = object - used.first_object;
+    if used.whole {
+        return if used.placements.len() == 1 {
+            used.name.clone()
+        } else {
+            format!("{}/{own}", used.name)
+        };
+    }
+    match geometry.meshes[used.mesh].objects.get(own as usize) {
+        Some(Some(name)) => name.clone(),
+        Some(None) => used.name.clone(),
+        None => format!("object {object}"),
+    }
+}
+
+/// Zero, unless coordinates are large: then the bounds' centre in whole metres.
+fn scene_origin(geometry: &Geometry) -> [f64; 3] {
+    let mut far = false;
+    for used in &geometry.uses {
+        let Some((lo, hi)) = geometry.meshes[used.mesh].bounds else { continue };
+        for i in 0..used.placements.len() {
+            let matrix = geometry.frame.matrix(used.placements.get(i));
+            for corner in 0..8 {
+                let pick = |c: usize| if corner >> c & 1 == 0 { lo[c] } else { hi[c] };
+                let p = matrix.world(DVec3::new(pick(0), pick(1), pick(2)));
+                far |= p.abs().max_element() > FAR;
+            }
+        }
+        if far {
+            break;
+        }
+    }
+    if !far {
+        return [0.0; 3];
+    }
+    // The boxes are larger than what is in them: now exactly.
+    let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    for used in &geometry.uses {
+        let mesh = &geometry.meshes[used.mesh];
+        for i in 0..used.placements.len() {
+            let matrix = geometry.frame.matrix(used.placements.get(i));
+            for &v in mesh.triangles.iter().flatten() {
+                let p = matrix.world(mesh.positions[v as usize]);
+                if p.is_finite() {
+                    (lo, hi) = (lo.min(p), hi.max(p));
+                }
+            }
+        }
+    }
+    if lo.abs().max(hi.abs()).max_element() <= FAR {
+        return [0.0; 3];
+    }
+    ((lo + hi) * 0.5).to_array().map(|v| v.round() + 0.0)
+}
+
+/// What one pass over the stream finds.
+struct Measured {
+    count: u64,
+    bounds: ([f32; 3], [f32; 3]),
+    flat: u64,
+    first_flat: Option<(u32, [f32; 3])>,
+    not_finite: u64,
+    first_not_finite: Option<u32>,
+    /// Area of each (object, emitting material), m².
+    areas: BTreeMap<(u32, u32), f64>,
+}
+
+fn measure(
+    geometry: &mut Geometry,
+    path: &Path,
+    emits: impl Fn(u32) -> bool,
+) -> Result<Measured, SceneError> {
+    let mut m = Measured {
+        count: 0,
+        bounds: Default::default(),
+        flat: 0,
+        first_flat: None,
+        not_finite: 0,
+        first_not_finite: None,
+        areas: BTreeMap::new(),
+    };
+    let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let mut firsts = Vec::with_capacity(geometry.uses.len());
+    let mut scratch = Vec::new();
+    for used in &geometry.uses {
+        let mut first = Vec::with_capacity(used.placements.len());
+        for i in 0..used.placements.len() {
+            first.push(m.count as u32);
+            let placed = geometry.place(used, i, &mut scratch);
+            for run in geometry.runs(used, i) {
+                let mut area = 0.0;
+                let emitting = emits(run.material);
+                for t in run.triangles {
+                    match placed.corners(t) {
+                        Ok(corners) => {
+                            m.count += 1;
+                            for p in corners {
+                                lo = lo.min(Vec3::from_array(p));
+                                hi = hi.max(Vec3::from_array(p));
+                            }
+                            if emitting {
+                                area += lights::area(&corners);
+                            }
+                        }
+                        Err(Skipped::Flat) => {
+                            m.flat += 1;
+                            if m.first_flat.is_none() {
+                                m.first_flat = Some((run.object, placed.corner(t)));
+                            }
+                        }
+                        Err(Skipped::NotFinite) => {
+                            m.not_finite += 1;
+                            m.first_not_finite.get_or_insert(run.object);
+                        }
+                    }
+                }
+                if emitting {
+                    *m.areas.entry((run.object, run.material)).or_insert(0.0) += area;
+                }
+            }
+            if m.count >= u64::from(NONE) {
+                return Err(SceneError::whole(
+                    path,
+                    "more than 4,294,967,294 triangles",
+                    "split the scene",
+                ));
+            }
+        }
+        firsts.push(first);
+    }
+    m.bounds = (lo.to_array(), hi.to_array());
+    for (used, first) in geometry.uses.iter_mut().zip(firsts) {
+        used.first = first;
+    }
+    if m.count == 0 {
+        let what = match m.flat + m.not_finite {
+            0 => "no triangle in it".into(),
+            bad => format!("none of its {bad} triangles has an area"),
+        };
+        return Err(SceneError::whole(
+            path,
+            what,
+            "give a model with faces (f v1 v2 v3), and check --doors and --units",
+        ));
+    }
+    Ok(m)
+}
+
+fn distance(lo: [f32; 3], hi: [f32; 3]) -> f64 {
+    let d: [f64; 3] = std::array::from_fn(|c| f64::from(hi[c]) - f64::from(lo[c]));
+    DVec3::from_array(d).length()
+}
+
+/// 2^-19 of the next power of two at or above the largest coordinate and the diagonal.
+fn tolerance(lo: [f32; 3], hi: [f32; 3]) -> f32 {
+    let largest = lo.iter().chain(&hi).map(|v| f64::from(v.abs())).fold(distance(lo, hi), f64::max);
+    let mut m = 1.0f64;
+    while m < largest {
+        m *= 2.0;
+    }
+    while m * 0.5 >= largest && m > 1e-12 {
+        m *= 0.5;
+    }
+    (m / f64::from(1u32 << 19)) as f32
+}
+
+fn point_lights(
+    parsed: &Parsed<SceneFile>,
+    frame: &Frame,
+) -> Result<Vec<(String, LightRecord)>, SceneError> {
+    let mut out = Vec::with_capacity(parsed.value.light.len());
+    for (i, at) in parsed.value.light.iter().enumerate() {
+        let table = at.get_ref();
+        let name = table.name.clone().unwrap_or_else(|| format!("light-{}", i + 1));
+        let fail = |what: &str, remedy: &str| {
+            Err(parsed.error(at, format!("light \"{name}\": {what}"), remedy))
+        };
+        let flux = match table.flux() {
+            Ok(flux) => flux,
+            Err(e) => return fail(&e, "correct the table"),
+        };
+        let position = frame.point(table.position);
+        if position.iter().any(|v| !v.is_finite()) {
+            return fail("its position is not finite", "give finite coordinates");
+        }
+        let down = match frame.up {
+            Up::Z => [0.0, 0.0, -1.0],
+            Up::Y => [0.0, -1.0, 0.0],
+        };
+        let Some(axis) = frame.direction(table.direction.unwrap_or(down)) else {
+            return fail("its direction has no length", "give three numbers, not all zero");
+        };
+        let kind = match table.kind {
+            PointKind::Point => LIGHT_POINT,
+            PointKind::LambertPoint => LIGHT_POINT_LAMBERT,
+        };
+        if flux.iter().all(|&w| w == 0.0) {
+            continue;
+        }
+        out.push((name.clone(), lights::point(kind, position, axis, flux)));
+    }
+    Ok(out)
+}
+
+fn room_hints(parsed: &Parsed<SceneFile>, frame: &Frame) -> Result<Vec<RoomHint>, SceneError> {
+    let mut out = Vec::with_capacity(parsed.value.room.len());
+    for (i, at) in parsed.value.room.iter().enumerate() {
+        let table = at.get_ref();
+        let name = table.name.clone().unwrap_or_else(|| format!("room-{}", i + 1));
+        let (a, b) = (frame.point(table.min), frame.point(table.max));
+        // Turning up may swap the ends of an axis, and only that is put right.
+        let empty = (0..3).any(|c| table.min[c] >= table.max[c] || a[c] == b[c]);
+        if empty || a.iter().chain(&b).any(|v| !v.is_finite()) {
+            return Err(parsed.error(
+                at,
+                format!("room \"{name}\" is empty"),
+                "min must be below max in x, y and z",
+            ));
+        }
+        out.push(RoomHint {
+            name,
+            min: std::array::from_fn(|c| a[c].min(b[c])),
+            max: std::array::from_fn(|c| a[c].max(b[c])),
+        });
+    }
+    Ok(out)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tolerance_follows_powers_of_two() {
+        // A 64 m scene: 64 * 2^-19 = 1.22e-4 m.
+        assert_eq!(tolerance([0.0; 3], [64.0, 0.0, 0.0]), 64.0 / 524288.0);
+        assert_eq!(tolerance([0.0; 3], [64.5, 0.0, 0.0]), 128.0 / 524288.0);
+        // Far from zero the coordinates decide.
+        assert_eq!(tolerance([-1000.0, 0.0, 0.0], [-999.0, 1.0, 0.0]), 1024.0 / 524288.0);
+        assert_eq!(tolerance([0.0; 3], [0.2, 0.0, 0.0]), 0.25 / 524288.0);
+    }
+
+    #[test]
+    fn stems() {
+        for (path, name) in [
+            ("a/duplex.obj.zst", "duplex"),
+            ("x.OBJ", "x"),
+            ("scene.toml", "scene"),
+            ("a.b.obj", "a.b"),
+            (".obj", "scene"),
+        ] {
+            assert_eq!(stem(Path::new(path)), name);
+        }
+    }
+}
