@@ -26,7 +26,8 @@ pub fn grid_bytes_estimate(triangles: u64) -> u64 {
     FIXED_BYTES.saturating_add(triangles.saturating_mul(BYTES_PER_TRIANGLE))
 }
 
-/// Bytes that [`build_grid`] holds at its peak, its result included.
+/// Bytes that [`build_grid`] touches at its peak, its result included: the blob, as much again for the
+/// lists before they are sorted, and a word per triangle. It reserves once per attempt, and exactly.
 pub fn grid_build_bytes(triangles: u64) -> u64 {
     grid_bytes_estimate(triangles).saturating_mul(5) / 2
 }
@@ -142,9 +143,10 @@ fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<V
     }
     let mut bricks = vec![0u64; brick_count as usize];
 
-    // Cells touched by each triangle, as brick * 64 + bit.
-    let expected = plan.references(f64::from(cell)) * 1.05;
-    let mut keys: Vec<u32> = Vec::with_capacity((expected as u64).min(room) as usize);
+    // Cells touched by each triangle, as brick * 64 + bit. The capacity is the limit: it never grows, and
+    // what is not used is never touched.
+    let mut keys: Vec<u32> = Vec::with_capacity(room as usize);
+    let mut overflow = false;
     let mut ends: Vec<u32> = Vec::with_capacity(mesh.triangles.len());
     let raster = Raster {
         min: DVec3::from_array(plan.min.map(f64::from)),
@@ -157,9 +159,12 @@ fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<V
             let brick = (z / BRICK * ny + y / BRICK) * nx + x / BRICK;
             let bit = x % BRICK + BRICK * (y % BRICK) + BRICK * BRICK * (z % BRICK);
             bricks[brick as usize] |= 1 << bit;
-            keys.push(brick * 64 + bit);
+            overflow |= keys.len() as u64 >= room;
+            if !overflow {
+                keys.push(brick * 64 + bit);
+            }
         });
-        if keys.len() as u64 > room {
+        if overflow {
             return None;
         }
         ends.push(keys.len() as u32);
@@ -329,5 +334,86 @@ impl Raster {
     fn clamp(&self, x: f64, axis: usize) -> u32 {
         // The cast saturates.
         (x as u32).min(self.counts[axis] - 1)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    const DELTA: f64 = 1.0 / 1024.0;
+
+    fn raster(margin: f64) -> Raster {
+        Raster { min: DVec3::ZERO, cell: 1.0, margin, counts: [16, 16, 12] }
+    }
+
+    fn cells(raster: &Raster, corners: [DVec3; 3]) -> BTreeSet<[u32; 3]> {
+        let mut out = BTreeSet::new();
+        raster.cells(corners, |x, y, z| assert!(out.insert([x, y, z]), "visited twice"));
+        out
+    }
+
+    /// Coordinates that like to be on, or a hair beside, the planes between cells.
+    fn coordinate() -> impl Strategy<Value = f64> {
+        let hair = prop_oneof![Just(0.0), Just(DELTA), Just(-DELTA), Just(1e-9), Just(-1e-9)];
+        prop_oneof![0.0..12.0f64, (1u32..12, hair).prop_map(|(k, h)| f64::from(k) + h)]
+    }
+
+    fn corner() -> impl Strategy<Value = DVec3> {
+        (coordinate(), coordinate(), coordinate()).prop_map(|(x, y, z)| DVec3::new(x, y, z))
+    }
+
+    proptest! {
+        /// What the walk relies on: any point within delta of the triangle lies in a cell that lists it.
+        #[test]
+        fn points_near_a_triangle_are_in_its_cells(
+            a in corner(), b in corner(), c in corner(), flat in 0usize..6, thin in 0usize..3,
+            points in proptest::collection::vec(
+                (0.0..1.0f64, 0.0..1.0f64, -1i32..2, -1i32..2, -1i32..2), 40),
+        ) {
+            let (mut b, mut c) = (b, c);
+            if flat < 3 {
+                b[flat] = a[flat];
+                c[flat] = a[flat];
+            }
+            if thin == 0 {
+                c = a + 0.7 * (b - a) + DVec3::splat(1e-7);
+            }
+            let found = cells(&raster(4.0 * DELTA), [a, b, c]);
+            for (s, t, x, y, z) in points {
+                let (s, t) = if s + t > 1.0 { (1.0 - s, 1.0 - t) } else { (s, t) };
+                let offset = DVec3::new(f64::from(x), f64::from(y), f64::from(z));
+                let p = a + s * (b - a) + t * (c - a) + DELTA * offset;
+                let cell = [p.x.max(0.0) as u32, p.y.max(0.0) as u32, p.z.max(0.0) as u32];
+                prop_assert!(found.contains(&cell.map(|i| i.min(15)))
+                    || found.contains(&[cell[0].min(15), cell[1].min(15), cell[2].min(11)]),
+                    "{p} in {cell:?}");
+            }
+        }
+
+        /// No cell is listed for nothing: the expected number is that of the Minkowski sum.
+        #[test]
+        fn cells_are_as_many_as_the_minkowski_sum_says(
+            e in corner(), f in corner(),
+        ) {
+            let (e, f) = ((e - 6.0) * 0.6, (f - 6.0) * 0.6);
+            let mut count = 0;
+            let n = 9;
+            for i in 0..n * n * n {
+                let offset = DVec3::new((i % n) as f64, (i / n % n) as f64, (i / n / n) as f64);
+                let a = DVec3::new(7.5, 7.5, 5.5) + (offset + 0.37) / f64::from(n);
+                count += cells(&raster(0.0), [a, a + e, a + f]).len();
+            }
+            let low = e.min(f).min(DVec3::ZERO);
+            let high = e.max(f).max(DVec3::ZERO);
+            let area = 0.5 * e.cross(f).abs().element_sum();
+            let expected = 1.0 + (high - low).element_sum() + area;
+            let mean = f64::from(count as u32) / f64::from(n * n * n);
+            prop_assert!((mean / expected - 1.0).abs() < 0.06, "{mean} {expected}");
+        }
     }
 }
