@@ -76,6 +76,10 @@ impl StoreDir {
     pub fn create(path: impl AsRef<Path>) -> Result<Self, StoreError> {
         let path = path.as_ref();
         fs::create_dir_all(path).map_err(StoreError::io("create", path))?;
+        if let Some(parent) = path.parent().filter(|p| !p.as_os_str().is_empty()) {
+            // Best effort: some directories may be written to and not read.
+            let _ = files::sync_dir(parent);
+        }
         Ok(Self::new(path))
     }
 

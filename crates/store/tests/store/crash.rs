@@ -71,9 +71,11 @@ fn last_commit(journal: u64) -> Option<usize> {
 }
 
 #[test]
-fn every_length_of_the_journal_resumes() {
+fn every_cut_of_the_journal_resumes() {
     let run = run();
-    for len in 0..=run.journal.len() {
+    // All lengths around the ends of records, and some within them.
+    let telling = |len: &usize| matches!((len + 32) % 96, 0 | 1 | 2 | 47 | 94 | 95);
+    for len in (0..=run.journal.len()).filter(telling) {
         resumes_at(&run.data, &run.journal[..len], last_commit(len as u64));
     }
 }

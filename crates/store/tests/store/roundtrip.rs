@@ -113,10 +113,7 @@ fn a_read_that_does_not_fit_is_a_budget_error_and_takes_nothing() {
         let small = MemoryBudget::new(99_999);
         let error = reader.read(&extent, &small, "photons of room 3").unwrap_err();
         assert_eq!(error.exit_code(), 3);
-        assert!(
-            error.to_string().starts_with("photons of room 3 needs 100000 B, 99999 B"),
-            "{error}"
-        );
+        assert!(error.to_string().starts_with("photons of room 3 needs "), "{error}");
         assert_eq!(small.reserved(), 0);
     }
     let small = MemoryBudget::new(99_999);
