@@ -67,7 +67,7 @@ fn room(target: usize, random: &mut Random) -> Vec<[[f32; 3]; 3]> {
         } else {
             let sphere = |s: f32, t: f32| {
                 let (a, b) = (s * std::f32::consts::TAU, t * std::f32::consts::PI);
-                let (a, b) = (libm_sin_cos(a), libm_sin_cos(b));
+                let (a, b) = (sin_cos(a), sin_cos(b));
                 at + scale + scale * Vec3::new(a.1 * b.0, a.0 * b.0, b.1)
             };
             patch(&mut out, 12 + (random.unit() * 12.0) as usize, sphere);
@@ -77,8 +77,8 @@ fn room(target: usize, random: &mut Random) -> Vec<[[f32; 3]; 3]> {
     out
 }
 
-fn libm_sin_cos(x: f32) -> (f32, f32) {
-    (x.sin(), x.cos())
+fn sin_cos(x: f32) -> (f32, f32) {
+    (libm::sinf(x), libm::cosf(x))
 }
 
 fn main() {
