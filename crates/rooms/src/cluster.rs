@@ -16,7 +16,11 @@ pub(crate) struct Cluster {
 
 /// Groups the triangles in planes. Returns the clusters and, for each triangle, its cluster or
 /// `u32::MAX`. Hash maps are only looked up, never iterated: the result depends on the input alone.
-pub(crate) fn cluster(triangles: &[[[f32; 3]; 3]], tolerance: f64) -> (Vec<Cluster>, Vec<u32>) {
+pub(crate) fn cluster(
+    triangles: &[[[f32; 3]; 3]],
+    tolerance: f64,
+    scale: f64,
+) -> (Vec<Cluster>, Vec<u32>) {
     struct Growing {
         plane: Plane,
         normal_sum: DVec3,
@@ -99,7 +103,7 @@ pub(crate) fn cluster(triangles: &[[[f32; 3]; 3]], tolerance: f64) -> (Vec<Clust
     let mut renumber = vec![u32::MAX; clusters.len()];
     let mut kept = Vec::new();
     for (c, grown) in clusters.iter().enumerate() {
-        if grown.area < LEAST_AREA {
+        if grown.area < LEAST_AREA * scale * scale {
             continue;
         }
         renumber[c] = kept.len() as u32;

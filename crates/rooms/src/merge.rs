@@ -17,8 +17,8 @@ const LEAST_VOLUME: f64 = 1.5;
 const LEAST_FLOOR: f64 = 1.0;
 /// What opens less is sealed, m².
 const LEAST_OPENING: f64 = 0.02;
-/// Lower is no room, m.
-const LEAST_HEIGHT: f64 = 1.2;
+/// Lower is no room but the void above a ceiling, m.
+const LEAST_HEIGHT: f64 = 2.05;
 
 /// What merging needs to know about a leaf.
 #[derive(Clone, Copy, Debug)]
@@ -60,8 +60,14 @@ impl Between {
         self.weighted += other.weighted;
     }
 
+    /// Not a door: the faces around the openings are open as well.
+    fn gaping(&self) -> bool {
+        self.free > 1e-4 && self.weighted >= WIDE * self.free
+    }
+
+    /// Gaping, and most of what is in between is open.
     fn wide(&self) -> bool {
-        self.free > 0.01 && self.free >= WIDE * self.shared && self.weighted >= WIDE * self.free
+        self.gaping() && self.free >= WIDE * self.shared
     }
 }
 
@@ -83,6 +89,7 @@ struct Region {
 }
 
 struct Growing {
+    scale: f64,
     parent: Vec<u32>,
     regions: Vec<Region>,
 }
@@ -101,8 +108,10 @@ impl Growing {
         self.regions[a as usize].hint == self.regions[b as usize].hint
     }
 
-    /// Merges two regions and returns the one that stays.
-    fn merge(&mut self, a: u32, b: u32) -> u32 {
+    /// Merges two regions and returns the one that stays; `changed` gets the neighbours that it
+    /// now touches in more than before.
+    fn merge(&mut self, a: u32, b: u32, changed: &mut Vec<u32>) -> u32 {
+        changed.clear();
         let (a, b) = if self.regions[a as usize].near.len() >= self.regions[b as usize].near.len() {
             (a, b)
         } else {
@@ -121,6 +130,7 @@ impl Growing {
                 self.regions[other as usize].near.entry(a).or_default().add(&between);
             }
             self.regions[a as usize].near.entry(other).or_default().add(&between);
+            changed.push(other);
         }
         let stays = &mut self.regions[a as usize];
         stays.volume += gone.volume;
@@ -147,11 +157,12 @@ impl Growing {
     fn small(&self, i: u32) -> bool {
         let r = &self.regions[i as usize];
         let height = r.high - r.low;
+        let s = self.scale;
         r.hint.is_none()
             && (r.thin
-                || r.volume < LEAST_VOLUME
-                || height < LEAST_HEIGHT
-                || r.volume / height < LEAST_FLOOR)
+                || r.volume < LEAST_VOLUME * s * s * s
+                || height < LEAST_HEIGHT * s
+                || r.volume / height < LEAST_FLOOR * s * s)
     }
 
     /// The neighbour behind the largest opening; inside rather than outside when they are alike.
@@ -160,7 +171,9 @@ impl Growing {
         for (&other, between) in &self.regions[i as usize].near {
             let outside = self.regions[other as usize].outside;
             let area = between.open * if outside { 0.98 } else { 1.0 };
-            if between.open > LEAST_OPENING && best.is_none_or(|b| area > b.0 * 1.001) {
+            if between.open > LEAST_OPENING * self.scale * self.scale
+                && best.is_none_or(|b| area > b.0 * 1.001)
+            {
                 best = Some((area, other));
             }
         }
@@ -179,6 +192,7 @@ impl Growing {
                 }
             }
         }
+        let mut changed = Vec::new();
         while let Some((free, a, b)) = heap.pop() {
             let Some(between) = self.regions[a as usize].near.get(&b).copied() else { continue };
             if !self.regions[a as usize].alive
@@ -187,9 +201,11 @@ impl Growing {
             {
                 continue;
             }
-            let stays = self.merge(a, b);
-            for (&other, between) in &self.regions[stays as usize].near {
-                heap.push((key(between), stays.min(other), stays.max(other)));
+            let stays = self.merge(a, b, &mut changed);
+            for &other in &changed {
+                if let Some(between) = self.regions[stays as usize].near.get(&other) {
+                    heap.push((key(between), stays.min(other), stays.max(other)));
+                }
             }
         }
     }
@@ -198,10 +214,12 @@ impl Growing {
 pub(crate) fn merge(
     facts: &[LeafFacts],
     links: &[Link],
+    scale: f64,
     sealed_backs: &dyn Fn(u32) -> f64,
 ) -> Merged {
     let mut solid = solid_leaves(facts, links);
     let mut growing = Growing {
+        scale,
         parent: (0..facts.len() as u32).collect(),
         regions: facts
             .iter()
@@ -211,7 +229,7 @@ pub(crate) fn merge(
                 volume: f.volume,
                 low: f.low,
                 high: f.high,
-                thin: f.width < THIN,
+                thin: f.width < THIN * scale,
                 backs: 0.0,
                 walled: 0.0,
                 hint: f.hint.filter(|_| !f.bound),
@@ -247,10 +265,10 @@ pub(crate) fn merge(
             continue;
         }
         if region.outside {
-            outside = Some(outside.map_or(i, |o| growing.merge(o, i)));
+            outside = Some(outside.map_or(i, |o| growing.merge(o, i, &mut Vec::new())));
         } else if let Some(hint) = region.hint {
             let first = hinted.get(&hint).copied();
-            let stays = first.map_or(i, |f| growing.merge(f, i));
+            let stays = first.map_or(i, |f| growing.merge(f, i, &mut Vec::new()));
             hinted.insert(hint, stays);
         }
     }
@@ -263,7 +281,7 @@ pub(crate) fn merge(
         let (inner, outer) = if g.regions[a as usize].outside { (b, a) } else { (a, b) };
         g.regions[outer as usize].outside
             && g.regions[inner as usize].hint.is_none()
-            && between.wide()
+            && between.gaping()
             && g.enclosed(inner) < ENCLOSED
     });
     // Doorways, cupboards and slivers belong to what they open to.
@@ -283,7 +301,7 @@ pub(crate) fn merge(
                 continue;
             }
             if let Some(other) = growing.widest(i) {
-                growing.merge(i, other);
+                growing.merge(i, other, &mut Vec::new());
                 changed = true;
             }
         }

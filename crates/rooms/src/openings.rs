@@ -117,7 +117,7 @@ fn overlapping<'a>(
 }
 
 /// All pairs of leaves that touch in more than a line.
-pub(crate) fn links(tree: &Tree) -> Vec<Link> {
+pub(crate) fn links(tree: &Tree, scale: f64) -> Vec<Link> {
     let mut links = Vec::new();
     for (node, sides) in faces(tree).iter().enumerate() {
         let frame = Frame::new(&tree.nodes[node].plane);
@@ -164,7 +164,7 @@ pub(crate) fn links(tree: &Tree) -> Vec<Link> {
                 found.push((i, f.leaf as usize, pieces));
             }
         }
-        openness(&mut links[first_link..], &found, &front, &back);
+        openness(&mut links[first_link..], &found, &front, &back, WINDOW * scale);
     }
     links
 }
@@ -175,6 +175,7 @@ fn openness(
     found: &[(usize, usize, Vec<Poly>)],
     front: &[Flat],
     back: &[Flat],
+    window: f64,
 ) {
     // Links by leaf, so that the pieces in a face are found.
     let mut by_leaf: Vec<(u32, usize)> =
@@ -193,8 +194,8 @@ fn openness(
                 let (lo, hi) = flat::bounds(piece);
                 around = (around.0.min(lo), around.1.max(hi));
             }
-            let (lo, hi) = (around.0 - WINDOW, around.1 + WINDOW);
-            let window = vec![lo, DVec2::new(hi.x, lo.y), hi, DVec2::new(lo.x, hi.y)];
+            let (lo, hi) = (around.0 - window, around.1 + window);
+            let frame = vec![lo, DVec2::new(hi.x, lo.y), hi, DVec2::new(lo.x, hi.y)];
             let bounds = (lo, hi);
             links[k]
                 .leaves
@@ -206,7 +207,7 @@ fn openness(
                         } else if b.0.cmpge(lo).all() && b.1.cmple(hi).all() {
                             flat::area(poly)
                         } else {
-                            flat::area(&flat::intersection(poly, &window))
+                            flat::area(&flat::intersection(poly, &frame))
                         }
                     };
                     let at = faces.partition_point(|f| f.0 < leaf);

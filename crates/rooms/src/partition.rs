@@ -16,6 +16,9 @@ use std::collections::BTreeMap;
 
 /// Leaves wider than this are not asked whether they are solid, m.
 const SOLID_WIDTH: f64 = 1.2;
+/// Lengths that tell a door from a room shrink with scenes smaller than this, m: a Cornell box of
+/// half a metre has a room as well.
+const FULL_SIZE: f64 = 8.0;
 /// Smaller pieces are walked through but not listed, m².
 const LEAST_PIECE: f64 = 1e-4;
 /// Pieces of one portal touch to this, m.
@@ -59,13 +62,14 @@ pub fn partition(
     let (bounds, delta) = check(triangles, options)?;
     let diagonal = (bounds.1 - bounds.0).length();
     let margin = (0.02 * diagonal).max(1.0);
-    let tolerance = (4.0 * delta).max(2e-3);
-    let (clusters, of) = cluster(triangles, tolerance * 0.5);
-    let walls = Walls { triangles, opaque, clusters, tolerance };
+    let tolerance = (4.0 * delta).max(2e-3_f64.min(1e-4 * diagonal));
+    let scale = (diagonal / FULL_SIZE).clamp(1e-3, 1.0);
+    let (clusters, of) = cluster(triangles, tolerance * 0.5, scale);
+    let walls = Walls { triangles, opaque, clusters, tolerance, scale };
     let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &options.hints);
     drop(of);
-    let mut found = links(&tree);
-    let mut divided = divide(&tree, delta, triangles, opaque, &found, options);
+    let mut found = links(&tree, scale);
+    let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, options);
     match options.rooms {
         RoomCount::Auto => {}
         RoomCount::Exactly(0) => {
@@ -79,7 +83,7 @@ pub fn partition(
         RoomCount::Exactly(n) => {
             fewer(&mut divided, &found, n);
             if more(&mut tree, &mut divided, &walls, bounds, n)? {
-                found = links(&tree);
+                found = links(&tree, scale);
             }
         }
     }
@@ -151,6 +155,7 @@ fn with_probe<R>(
 fn divide(
     tree: &Tree,
     delta: f64,
+    scale: f64,
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
     found: &[Link],
@@ -174,17 +179,17 @@ fn divide(
                     low: lo.z,
                     high: hi.z,
                     bound,
-                    backs: if bound || width > SOLID_WIDTH {
+                    backs: if bound || width > SOLID_WIDTH * scale {
                         0.0
                     } else {
-                        probe.look(centre, 14).backs
+                        probe.look(centre, 8).backs
                     },
                     hint: hint.map(|h| h as u32),
                 }
             })
             .collect();
         let backs = |leaf: u32| probe.look(tree.leaves[leaf as usize].cell.centre(), 14).backs;
-        merge(&facts, found, &backs)
+        merge(&facts, found, scale, &backs)
     })
 }
 

@@ -79,6 +79,8 @@ pub(crate) struct Walls<'a> {
     pub(crate) clusters: Vec<Cluster>,
     /// Polygons this close to a splitting plane lie in it, m.
     pub(crate) tolerance: f64,
+    /// Of lengths: 1 for buildings, less for small models.
+    pub(crate) scale: f64,
 }
 
 impl Walls<'_> {
@@ -219,6 +221,7 @@ fn cuts(cell: &Polytope, plane: &Plane, tolerance: f64) -> bool {
 fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> Option<Plane> {
     let cell = &job.cell;
     let tolerance = walls.tolerance;
+    let unit = walls.scale * walls.scale;
     // The scene's own box first: what is outside of it is outside.
     if let Some(plane) = shell.iter().find(|p| cuts(cell, p, tolerance)) {
         return Some(*plane);
@@ -235,14 +238,14 @@ fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> O
     }
     let shares = shares(walls, &job.fragments);
     let width = cell.width();
-    let thin = width < THIN;
+    let thin = width < THIN * walls.scale;
     let thin_axis = if thin { thin_direction(cell, width) } else { DVec3::ZERO };
     let total: f64 = shares.iter().map(|s| s.area).sum();
     let mut candidates: Vec<(f64, usize)> = Vec::new();
     let mut poor: Option<(f64, usize)> = None;
     for (i, share) in shares.iter().enumerate() {
         let plane = &walls.clusters[share.cluster as usize].plane;
-        if share.area < if thin { 0.02 } else { 0.5 } || !cuts(cell, plane, tolerance) {
+        if share.area < unit * if thin { 0.02 } else { 0.5 } || !cuts(cell, plane, tolerance) {
             continue;
         }
         let section = area(&cell.section(plane));
@@ -250,13 +253,13 @@ fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> O
             continue;
         }
         let covered = (share.area / section).min(1.0);
-        let good = (covered >= WELL_COVERED && share.area >= 0.5)
-            || (covered >= COVERED && share.area >= 4.0)
+        let good = (covered >= WELL_COVERED && share.area >= 0.5 * unit)
+            || (covered >= COVERED && share.area >= 4.0 * unit)
             || (thin && covered >= 0.5)
             || (thin && covered >= 0.05 && spans(walls, &job.fragments, share, thin_axis, width));
         if good {
             candidates.push((covered, i));
-        } else if share.area >= 6.0 && covered >= POORLY_COVERED && total >= 30.0 {
+        } else if share.area >= 6.0 * unit && covered >= POORLY_COVERED && total >= 30.0 * unit {
             let better = poor.is_none_or(|p| covered > p.0);
             if better {
                 poor = Some((covered, i));
@@ -264,7 +267,7 @@ fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> O
         }
     }
     if candidates.is_empty() {
-        if let Some(plane) = peel(&shares, lo, hi, total) {
+        if let Some(plane) = peel(&shares, lo, hi, total, walls.scale) {
             return Some(plane).filter(|p| cuts(cell, p, tolerance));
         }
         return poor.map(|(_, i)| walls.clusters[shares[i].cluster as usize].plane);
@@ -365,9 +368,9 @@ fn spans(
 }
 
 /// A plane that cuts away the emptiness around or between the walls of a big cell.
-fn peel(shares: &[Share], lo: DVec3, hi: DVec3, total: f64) -> Option<Plane> {
+fn peel(shares: &[Share], lo: DVec3, hi: DVec3, total: f64, scale: f64) -> Option<Plane> {
     let size = hi - lo;
-    if total < 30.0 || size.x * size.y * size.z < 200.0 {
+    if total < 30.0 * scale * scale || size.x * size.y * size.z < 200.0 * scale * scale * scale {
         return None;
     }
     let mut best: Option<(f64, Plane)> = None;
@@ -379,7 +382,7 @@ fn peel(shares: &[Share], lo: DVec3, hi: DVec3, total: f64) -> Option<Plane> {
         spans.push((hi[axis], hi[axis]));
         for (min, max) in spans {
             let gap = min - reached;
-            if gap >= 1.0 && gap >= 0.25 * size[axis] {
+            if gap >= scale && gap >= 0.25 * size[axis] {
                 let share = gap / size[axis];
                 // Cut at the end of the gap that is not the cell's own face.
                 let at = if reached > lo[axis] { reached } else { min };
