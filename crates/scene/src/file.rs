@@ -345,10 +345,13 @@ pub(crate) fn parse<T: DeserializeOwned>(
         Ok(value) => Ok((Parsed { value, text, path: path.into() }, input)),
         Err(error) => {
             let line = error.span().map_or(1, |s| line_of(&text, s.start));
+            let at = text.lines().nth(line - 1).unwrap_or_default().trim();
+            let what = error.message().trim().replace('\n', ", ");
+            let at = crate::obj::excerpt(at.as_bytes());
             Err(SceneError::line(
                 path,
                 line,
-                error.message().trim().replace('\n', ", "),
+                if at.is_empty() { what } else { format!("{what}, in \"{at}\"") },
                 "correct the line (the format is described in crates/scene/README.md)",
             ))
         }

@@ -156,21 +156,7 @@ impl Placements {
 
     /// Adds one, or says what is wrong with it.
     pub(crate) fn push(&mut self, numbers: &[f64]) -> Result<(), String> {
-        if !matches!(numbers.len(), 3 | 4 | 5 | 7 | 12) {
-            return Err(format!(
-                "an instance has {} numbers; give [x, y, z], [x, y, z, degrees], [x, y, z, degrees, \
-                 scale], [x, y, z, degrees, sx, sy, sz] or a 3 x 4 matrix row by row",
-                numbers.len()
-            ));
-        }
-        if let Some(bad) = numbers.iter().find(|v| !v.is_finite() || v.abs() > 1e30) {
-            return Err(format!("an instance has the number {bad}; give finite numbers"));
-        }
-        let unit = Frame { units: 1.0, up: Up::Z, origin: [0.0; 3] };
-        let size = unit.matrix(numbers).determinant();
-        if size == 0.0 || !size.is_finite() {
-            return Err("an instance is scaled to nothing; give a scale other than 0".into());
-        }
+        check(numbers)?;
         let end = u32::try_from(self.numbers.len() + numbers.len())
             .map_err(|_| "one mesh has too many instances; list it twice".to_string())?;
         self.numbers.extend(numbers);
@@ -193,6 +179,26 @@ impl Placements {
     }
 }
 
+/// What is wrong with the numbers of a placement.
+fn check(numbers: &[f64]) -> Result<(), String> {
+    if !matches!(numbers.len(), 3 | 4 | 5 | 7 | 12) {
+        return Err(format!(
+            "an instance has {} numbers; give [x, y, z], [x, y, z, degrees], [x, y, z, degrees, \
+             scale], [x, y, z, degrees, sx, sy, sz] or a 3 x 4 matrix row by row",
+            numbers.len()
+        ));
+    }
+    if let Some(bad) = numbers.iter().find(|v| !v.is_finite() || v.abs() > 1e30) {
+        return Err(format!("an instance has the number {bad}; give finite numbers"));
+    }
+    let unit = Frame { units: 1.0, up: Up::Z, origin: [0.0; 3] };
+    let size = unit.matrix(numbers).determinant();
+    if size == 0.0 || !size.is_finite() {
+        return Err("an instance is scaled to nothing; give a scale other than 0".into());
+    }
+    Ok(())
+}
+
 /// One placement on its way from TOML, without a heap allocation each.
 struct Numbers([f64; 13], usize);
 
@@ -210,6 +216,8 @@ impl<'de> Deserialize<'de> for Numbers {
                     out.0[out.1.min(12)] = v;
                     out.1 = (out.1 + 1).min(13);
                 }
+                // Checked here already, where the error still knows its line.
+                check(&out.0[..out.1]).map_err(A::Error::custom)?;
                 Ok(out)
             }
         }
@@ -228,8 +236,7 @@ impl<'de> Deserialize<'de> for Placements {
             fn visit_seq<A: SeqAccess<'de>>(self, mut seq: A) -> Result<Placements, A::Error> {
                 let mut out = Placements::default();
                 while let Some(Numbers(numbers, n)) = seq.next_element()? {
-                    out.push(&numbers[..n])
-                        .map_err(|e| A::Error::custom(format!("instance {}: {e}", out.len())))?;
+                    out.push(&numbers[..n]).map_err(A::Error::custom)?;
                 }
                 Ok(out)
             }

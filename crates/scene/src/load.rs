@@ -449,7 +449,7 @@ impl Loader {
         let mut geometry =
             Geometry { meshes: self.meshes, uses, frame, open: options.doors == Doors::Open };
         let mut warnings = self.warnings;
-        geometry.frame.origin = scene_origin(&geometry);
+        geometry.frame.origin = scene_origin(&geometry, path)?;
         let frame = geometry.frame;
         if frame.origin != [0.0; 3] {
             warnings.push(format!(
@@ -491,14 +491,7 @@ impl Loader {
             }
         }
         let diagonal = distance(lo, hi);
-        if diagonal > LARGEST {
-            return Err(SceneError::whole(
-                path,
-                format!("the scene is {diagonal:.3e} m across"),
-                "give the units of the file (--units mm, or units = \"mm\" in a scene file), or \
-                 remove what lies far away",
-            ));
-        }
+        check_size(diagonal, path)?;
         if !(0.1..=SUSPICIOUS).contains(&diagonal) {
             warnings.push(format!(
                 "{}: the scene is {diagonal:.4} m across: are its units right? (--units)",
@@ -636,8 +629,9 @@ pub(crate) fn object_name(geometry: &Geometry, object: u32) -> String {
     }
 }
 
-/// Zero, unless coordinates are large: then the bounds' centre in whole metres.
-fn scene_origin(geometry: &Geometry) -> [f64; 3] {
+/// Zero, unless coordinates are large: then the bounds' centre in whole metres. A scene that is too
+/// large for `f32` is refused.
+fn scene_origin(geometry: &Geometry, path: &Path) -> Result<[f64; 3], SceneError> {
     let mut far = false;
     for used in &geometry.uses {
         let Some((lo, hi)) = geometry.meshes[used.mesh].bounds else { continue };
@@ -654,7 +648,7 @@ fn scene_origin(geometry: &Geometry) -> [f64; 3] {
         }
     }
     if !far {
-        return [0.0; 3];
+        return Ok([0.0; 3]);
     }
     // The boxes are larger than what is in them: now exactly.
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -664,16 +658,30 @@ fn scene_origin(geometry: &Geometry) -> [f64; 3] {
             let matrix = geometry.frame.matrix(used.placements.get(i));
             for &v in mesh.triangles.iter().flatten() {
                 let p = matrix.world(mesh.positions[v as usize]);
-                if p.is_finite() {
+                if p.abs().max_element() <= f64::from(f32::MAX) {
                     (lo, hi) = (lo.min(p), hi.max(p));
                 }
             }
         }
     }
     if lo.abs().max(hi.abs()).max_element() <= FAR {
-        return [0.0; 3];
+        return Ok([0.0; 3]);
     }
-    ((lo + hi) * 0.5).to_array().map(|v| v.round() + 0.0)
+    check_size((hi - lo).length(), path)?;
+    Ok(((lo + hi) * 0.5).to_array().map(|v| v.round() + 0.0))
+}
+
+/// Refuses what is far too large to be a building or a city.
+fn check_size(diagonal: f64, path: &Path) -> Result<(), SceneError> {
+    if diagonal > LARGEST {
+        return Err(SceneError::whole(
+            path,
+            format!("the scene is {diagonal:.3e} m across"),
+            "give the units of the file (--units mm, or units = \"mm\" in a scene file), or remove \
+             what lies far away",
+        ));
+    }
+    Ok(())
 }
 
 /// What one pass over the stream finds.

@@ -45,7 +45,7 @@ pub(crate) struct Mesh {
     pub(crate) materials: Vec<Option<String>>,
     /// What follows `mtllib`, with the line.
     pub(crate) libraries: Vec<(String, usize)>,
-    /// Lower and upper corner of the finite vertices that faces use.
+    /// Lower and upper corner of the vertices that faces use and `f32` can hold.
     pub(crate) bounds: Option<(DVec3, DVec3)>,
     pub(crate) warnings: Vec<String>,
 }
@@ -137,7 +137,7 @@ pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
                     ));
                 };
                 let p = DVec3::new(x, y, z);
-                if !p.is_finite() {
+                if !fits(p) {
                     not_finite += 1;
                     if not_finite == 1 {
                         first_not_finite = lines.number();
@@ -278,13 +278,18 @@ pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
     mesh.triangles.shrink_to_fit();
     mesh.parts.shrink_to_fit();
     for p in mesh.triangles.iter().flatten().map(|&v| mesh.positions[v as usize]) {
-        if p.is_finite() {
+        if fits(p) {
             let (lo, hi) = mesh.bounds.get_or_insert((p, p));
             *lo = lo.min(p);
             *hi = hi.max(p);
         }
     }
     Ok((mesh, lines.finish()?))
+}
+
+/// Finite, and within the range of `f32`.
+fn fits(p: DVec3) -> bool {
+    p.abs().max_element() <= f64::from(f32::MAX) && p.is_finite()
 }
 
 /// The first characters of some bytes, fit for a message.

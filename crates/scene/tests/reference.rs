@@ -31,7 +31,7 @@ fn ours(scene: &Scene) -> Vec<([[f32; 3]; 3], String)> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig { cases: 64, failure_persistence: None, ..Default::default() })]
     #[test]
     fn agrees_with_tobj(
         steps in proptest::collection::vec(
