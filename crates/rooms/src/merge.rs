@@ -17,6 +17,8 @@ const LEAST_VOLUME: f64 = 1.5;
 const LEAST_FLOOR: f64 = 1.0;
 /// What opens less is sealed, m².
 const LEAST_OPENING: f64 = 0.02;
+/// What opens less of the surface of a cavity is a crack.
+const CRACK: f64 = 0.01;
 /// Lower is no room but the void above a ceiling, m.
 const LEAST_HEIGHT: f64 = 2.05;
 
@@ -167,13 +169,18 @@ impl Growing {
 
     /// The neighbour behind the largest opening; inside rather than outside when they are alike.
     fn widest(&self, i: u32) -> Option<u32> {
+        let region = &self.regions[i as usize];
+        let mut least = LEAST_OPENING * self.scale * self.scale;
+        if self.small(i) {
+            // A crack does not make the cavity of a wall a part of the room.
+            let surface: f64 = region.near.values().map(|b| b.shared).sum();
+            least = least.max(CRACK * (region.walled + surface));
+        }
         let mut best: Option<(f64, u32)> = None;
-        for (&other, between) in &self.regions[i as usize].near {
+        for (&other, between) in &region.near {
             let outside = self.regions[other as usize].outside;
             let area = between.open * if outside { 0.98 } else { 1.0 };
-            if between.open > LEAST_OPENING * self.scale * self.scale
-                && best.is_none_or(|b| area > b.0 * 1.001)
-            {
+            if between.open > least && best.is_none_or(|b| area > b.0 * 1.001) {
                 best = Some((area, other));
             }
         }

@@ -208,35 +208,24 @@ fn inside_count(divided: &Merged) -> u32 {
     divided.regions - u32::from(divided.outside.is_some())
 }
 
-fn join(divided: &mut Merged, into: u32, from: u32) {
-    let last = divided.regions - 1;
-    for r in &mut divided.region {
-        if *r == from {
-            *r = into;
-        }
-        if *r == last {
-            *r = from;
-        }
-    }
-    divided.outside = divided.outside.map(|o| if o == last { from } else { o });
-    divided.regions = last;
-}
-
 /// Merges rooms through the largest openings until at most `n` are left.
 fn fewer(divided: &mut Merged, found: &[Link], n: u32) {
-    while inside_count(divided) > n {
-        let mut open: BTreeMap<(u32, u32), (f64, f64)> = BTreeMap::new();
-        for link in found {
-            let [a, b] = link.leaves.map(|l| divided.region[l as usize]);
-            if a != b && Some(a) != divided.outside && Some(b) != divided.outside {
-                let e = open.entry((a.min(b), a.max(b))).or_default();
-                let airy = link.leaves.iter().all(|&l| !divided.solid[l as usize]);
-                e.0 += if airy { link.open } else { 0.0 };
-                e.1 += link.shared;
-            }
+    // Open and shared area per pair of rooms, lower number first.
+    let mut between: BTreeMap<(u32, u32), (f64, f64)> = BTreeMap::new();
+    for link in found {
+        let [a, b] = link.leaves.map(|l| divided.region[l as usize]);
+        if a != b && Some(a) != divided.outside && Some(b) != divided.outside {
+            let e = between.entry((a.min(b), a.max(b))).or_default();
+            let airy = link.leaves.iter().all(|&l| !divided.solid[l as usize]);
+            e.0 += if airy { link.open } else { 0.0 };
+            e.1 += link.shared;
         }
+    }
+    let mut into: Vec<u32> = (0..divided.regions).collect();
+    let mut left = inside_count(divided);
+    while left > n {
         let mut best: Option<((f64, f64), (u32, u32))> = None;
-        for (pair, areas) in open {
+        for (&pair, &areas) in &between {
             if best.is_none_or(|b| areas > b.0) {
                 best = Some((areas, pair));
             }
@@ -244,16 +233,53 @@ fn fewer(divided: &mut Merged, found: &[Link], n: u32) {
         // Rooms that touch nothing inside: any two.
         let (a, b) = best.map_or_else(
             || {
-                let mut inside = (0..divided.regions).filter(|&r| Some(r) != divided.outside);
+                let mut inside = (0..divided.regions)
+                    .filter(|&r| into[r as usize] == r && Some(r) != divided.outside);
                 (inside.next().unwrap_or(0), inside.next().unwrap_or(0))
             },
             |b| b.1,
         );
         if a == b {
-            return;
+            break;
         }
-        join(divided, a, b);
+        into[b as usize] = a;
+        left -= 1;
+        let moved: Vec<((u32, u32), (f64, f64))> = between
+            .iter()
+            .filter(|(pair, _)| pair.0 == b || pair.1 == b)
+            .map(|(&pair, &areas)| (pair, areas))
+            .collect();
+        for (pair, areas) in moved {
+            between.remove(&pair);
+            let other = if pair.0 == b { pair.1 } else { pair.0 };
+            if other != a {
+                let e = between.entry((a.min(other), a.max(other))).or_default();
+                e.0 += areas.0;
+                e.1 += areas.1;
+            }
+        }
     }
+    // Close the gaps in the numbers. A room is merged into a lower one or into one that is itself
+    // merged later; follow to the end.
+    let end = |mut r: u32| {
+        while into[r as usize] != r {
+            r = into[r as usize];
+        }
+        r
+    };
+    let mut number = vec![0u32; into.len()];
+    let mut count = 0;
+    for r in 0..divided.regions {
+        if into[r as usize] == r {
+            number[r as usize] = count;
+            count += 1;
+        }
+    }
+    for r in &mut divided.region {
+        *r = number[end(*r) as usize];
+    }
+    divided.outside = divided.outside.map(|o| number[o as usize]);
+    divided.regions = count;
 }
 
 /// Cuts the largest rooms by virtual walls until there are `n`.

@@ -167,7 +167,8 @@ pub(crate) fn build(
         .collect();
     fragments.sort_by_key(|f| (f.cluster, f.triangle));
     let mut tree = Tree { box_min, box_max, nodes: Vec::new(), leaves: Vec::new() };
-    let most_leaves = 4096 + walls.triangles.len().min(250_000) / 2;
+    // Enough for any building; a soup of triangles must end somewhere.
+    let most_leaves = 4096 + walls.triangles.len() / 4;
     let shell = box_planes(bounds.0, bounds.1);
     let mut stack = vec![Job {
         cell: Polytope::from_box(box_min, box_max, BOUND),
