@@ -2,7 +2,7 @@
 //!
 //! A BSP of the space along the walls gives convex leaves; leaves that see each other through large
 //! openings are one room; what is left of a leaf's face when the walls in its plane are taken away
-//! is a portal. [`partition`] does all that, [`Partition::cut_tiles`] cuts big rooms into what fits
+//! is a portal. [`partition()`] does all that, [`Partition::cut_tiles`] cuts big rooms into what fits
 //! in memory, [`Partition::finish`] writes the tables of a store, and [`Bsp`] walks a ray through
 //! them, leaf by leaf.
 #![forbid(unsafe_code)]
@@ -45,7 +45,7 @@ pub struct Hint {
     pub max: [f32; 3],
 }
 
-/// What [`partition`] needs to know besides the triangles.
+/// What [`partition()`] needs to know besides the triangles.
 #[derive(Clone, Debug)]
 pub struct Options {
     /// The scene's tolerance δ, m.
