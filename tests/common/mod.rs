@@ -1,0 +1,205 @@
+//! What the end-to-end tests share: small scenes made of boxes, and the real binaries.
+#![allow(dead_code, missing_docs, unreachable_pub)]
+
+use std::fmt::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output, Stdio};
+
+use enf_layout::photon::PhotonRecord;
+use enf_layout::segment::{ExtentKind, StageKind};
+use enf_store::{MemoryBudget, StageReader, StoreDir};
+use serde_json::Value;
+
+/// A binary of this package.
+pub fn bin(name: &str) -> Command {
+    let path = match name {
+        "enfilade" => env!("CARGO_BIN_EXE_enfilade"),
+        "enf-partition" => env!("CARGO_BIN_EXE_enf-partition"),
+        "enf-grid" => env!("CARGO_BIN_EXE_enf-grid"),
+        "enf-trace" => env!("CARGO_BIN_EXE_enf-trace"),
+        "enf-kdtree" => env!("CARGO_BIN_EXE_enf-kdtree"),
+        "enf-render" => env!("CARGO_BIN_EXE_enf-render"),
+        other => panic!("no binary {other}"),
+    };
+    let mut command = Command::new(path);
+    command.stdin(Stdio::null());
+    command
+}
+
+/// Runs and expects success.
+pub fn ok(command: &mut Command) -> Output {
+    let output = command.output().expect("the binary starts");
+    assert!(
+        output.status.success(),
+        "{command:?} ended with {}\n{}",
+        output.status,
+        String::from_utf8_lossy(&output.stderr)
+    );
+    output
+}
+
+/// Runs and expects this exit code and a clean message; returns standard error.
+pub fn fails(command: &mut Command, code: i32) -> String {
+    let output = command.output().expect("the binary starts");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(code), "{command:?}\n{text}");
+    assert!(!text.contains("panicked") && !text.contains("RUST_BACKTRACE"), "{text}");
+    assert!(!text.trim().is_empty(), "a failure says why");
+    text
+}
+
+pub fn stdout(output: &Output) -> String {
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// An OBJ being written.
+#[derive(Default)]
+pub struct Model {
+    text: String,
+    vertices: usize,
+}
+
+impl Model {
+    pub fn object(&mut self, name: &str) {
+        let _ = writeln!(self.text, "o {name}");
+    }
+
+    pub fn material(&mut self, name: &str) {
+        let _ = writeln!(self.text, "usemtl {name}");
+    }
+
+    /// A quadrilateral, counter-clockwise from its front.
+    pub fn quad(&mut self, corners: [[f64; 3]; 4]) {
+        for [x, y, z] in corners {
+            let _ = writeln!(self.text, "v {x} {y} {z}");
+        }
+        let v = self.vertices;
+        let _ = writeln!(self.text, "f {} {} {} {}", v + 1, v + 2, v + 3, v + 4);
+        self.vertices += 4;
+    }
+
+    /// A box with its fronts outwards (or inwards: a room seen from inside).
+    pub fn cuboid(&mut self, min: [f64; 3], max: [f64; 3], inwards: bool) {
+        let c = |i: usize| {
+            [0, 1, 2].map(|a| if i >> a & 1 == 0 { min[a] } else { max[a] })
+        };
+        let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        for face in faces {
+            let mut corners = face.map(c);
+            if inwards {
+                corners.reverse();
+            }
+            self.quad(corners);
+        }
+    }
+
+    /// The same box turned about its vertical axis by `degrees`: nothing in it is parallel to a wall.
+    pub fn turned(&mut self, centre: [f64; 3], half: [f64; 3], degrees: f64) {
+        let (sin, cos) = degrees.to_radians().sin_cos();
+        let c = |i: usize| {
+            let s = [0, 1, 2].map(|a| if i >> a & 1 == 0 { -half[a] } else { half[a] });
+            [
+                centre[0] + s[0] * cos - s[1] * sin,
+                centre[1] + s[0] * sin + s[1] * cos,
+                centre[2] + s[2],
+            ]
+        };
+        let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        for face in faces {
+            self.quad(face.map(c));
+        }
+    }
+
+    pub fn write(&self, path: &Path, mtl: &str) {
+        let library = path.with_extension("mtl");
+        std::fs::write(&library, mtl).expect("the test folder is writable");
+        let name = library.file_name().expect("a name").to_string_lossy().into_owned();
+        std::fs::write(path, format!("mtllib {name}\n{}", self.text)).expect("writable");
+    }
+}
+
+pub const MATERIALS: &str = "\
+newmtl white\nKd 0.75 0.75 0.75\n
+newmtl red\nKd 0.7 0.2 0.15\n
+newmtl mirror\nKd 0 0 0\nKs 0.9 0.9 0.9\nillum 3\n
+newmtl glass\nKd 0 0 0\nd 0.05\nNi 1.5\nillum 4\n
+newmtl lamp\nKd 0.5 0.5 0.5\nKe 20 18 15\n";
+
+/// Two rooms of 5 x 4 x 2.8 m behind walls of 0.2 m, joined by a doorway, furnished with turned boxes, a mirror and
+/// a pane; one lamp in the first room and one in the second.
+pub fn two_rooms(path: &Path) {
+    let mut m = Model::default();
+    m.object("slabs");
+    m.material("white");
+    m.cuboid([-0.2, -0.2, -0.2], [10.4, 4.2, 0.0], false);
+    m.cuboid([-0.2, -0.2, 2.8], [10.4, 4.2, 3.0], false);
+    m.object("walls");
+    m.cuboid([-0.2, -0.2, 0.0], [10.4, 0.0, 2.8], false);
+    m.cuboid([-0.2, 4.0, 0.0], [10.4, 4.2, 2.8], false);
+    m.cuboid([-0.2, 0.0, 0.0], [0.0, 4.0, 2.8], false);
+    m.material("red");
+    m.cuboid([10.2, 0.0, 0.0], [10.4, 4.0, 2.8], false);
+    m.material("white");
+    // The wall between them, with a doorway of 0.9 x 2.1 m.
+    m.cuboid([5.0, 0.0, 0.0], [5.2, 1.5, 2.8], false);
+    m.cuboid([5.0, 2.4, 0.0], [5.2, 4.0, 2.8], false);
+    m.cuboid([5.0, 1.5, 2.1], [5.2, 2.4, 2.8], false);
+    m.object("table");
+    m.material("red");
+    m.turned([1.7, 1.3, 0.36], [0.6, 0.4, 0.36], 17.0);
+    m.object("cupboard");
+    m.turned([8.3, 3.2, 0.9], [0.5, 0.3, 0.9], -8.0);
+    m.object("chair");
+    m.turned([3.2, 2.9, 0.25], [0.25, 0.22, 0.25], 40.0);
+    m.object("mirror");
+    m.material("mirror");
+    m.quad([[2.0, 3.99, 1.0], [2.0, 3.99, 2.0], [1.0, 3.99, 2.0], [1.0, 3.99, 1.0]]);
+    m.object("screen");
+    m.material("glass");
+    m.quad([[6.5, 0.4, 0.0], [6.5, 1.6, 0.0], [6.5, 1.6, 1.9], [6.5, 0.4, 1.9]]);
+    for (name, x) in [("lamp-a", 2.2), ("lamp-b", 7.6)] {
+        m.object(name);
+        m.material("lamp");
+        m.quad([[x, 1.7, 2.75], [x, 2.3, 2.75], [x + 0.6, 2.3, 2.75], [x + 0.6, 1.7, 2.75]]);
+    }
+    m.write(path, MATERIALS);
+}
+
+/// All five stages of a small scene with the driver; returns the store.
+pub fn run_all(scene: &Path, out: &Path, extra: &[&str]) -> PathBuf {
+    let mut command = bin("enfilade");
+    command.arg("run").arg(scene).arg("-o").arg(out);
+    command.args(["--photons-per-light", "3k", "--samples", "2", "--width", "64", "--height", "48"]);
+    command.args(["--quiet"]).args(extra);
+    ok(&mut command);
+    let stem = scene.file_stem().expect("a name").to_string_lossy().into_owned();
+    out.join(format!("{stem}.enf"))
+}
+
+pub fn digest(store: &Path, kind: &str) -> String {
+    stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--digest", kind]))).trim().to_string()
+}
+
+pub fn json(path: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(path).expect("the report is there")).expect("it is JSON")
+}
+
+pub fn number(value: &Value, key: &str) -> f64 {
+    key.split('.')
+        .try_fold(value, |v, k| v.get(k))
+        .and_then(Value::as_f64)
+        .unwrap_or_else(|| panic!("no number {key} in {value:#}"))
+}
+
+/// Every stored photon of a traced store.
+pub fn photons(store: &Path) -> Vec<PhotonRecord> {
+    let store = StoreDir::open(store).expect("a store");
+    let reader = StageReader::open(&store, StageKind::Trace).expect("traced");
+    let budget = MemoryBudget::new(1 << 32);
+    let mut all = Vec::new();
+    for extent in reader.extents(ExtentKind::Photons) {
+        let block = reader.read(extent, &budget, "photons").expect("sound");
+        all.extend_from_slice(block.as_slice_of::<PhotonRecord>().expect("whole records"));
+    }
+    all
+}
