@@ -75,7 +75,7 @@ pub(crate) fn demo(args: &DemoArgs) -> Result<()> {
     say(
         &stages.common,
         format!(
-            "enfilade: generated {}: {} triangles, {} rooms, {} lights",
+            "generated {}: {} triangles, {} rooms, {} lights",
             scene.display(),
             built.triangles,
             built.rooms,

@@ -11,7 +11,12 @@ use std::f64::consts::PI;
 use std::path::Path;
 
 /// Partition, grid and trace.
-fn trace(scene: &Path, store: &Path, photons_per_light: &str, partition: &[&str]) -> serde_json::Value {
+fn trace(
+    scene: &Path,
+    store: &Path,
+    photons_per_light: &str,
+    partition: &[&str],
+) -> serde_json::Value {
     let stats = store.with_extension("json");
     ok(bin("enf-partition").arg(scene).arg("-o").arg(store).arg("--quiet").args(partition));
     ok(bin("enf-grid").arg(store).arg("--quiet"));
@@ -81,8 +86,7 @@ fn integrating_cube() {
         let store = dir.path().join(format!("cube-{rho}.enf"));
         let stats = trace(&scene, &store, "200k", &[]);
         assert!((number(&stats, "flux_emitted_w") * 179.0 - 10_000.0).abs() < 1.0);
-        let indirect =
-            179.0 * flux(&photons(&store), |p| p.flags & PHOTON_DIRECT == 0) / 96.0;
+        let indirect = 179.0 * flux(&photons(&store), |p| p.flags & PHOTON_DIRECT == 0) / 96.0;
         let expected = 10_000.0 / 96.0 * rho / (1.0 - rho);
         // Impacts after the first: mean rho/(1-rho), variance rho/(1-rho)^2.
         let sigma = 10_000.0 / 96.0 * rho.sqrt() / (1.0 - rho) / 200_000f64.sqrt();
@@ -174,8 +178,17 @@ fn furnace_as_a_picture() {
     .unwrap();
     let out = dir.path().join("out");
     ok(bin("enfilade").arg("run").arg(&scene).arg("-o").arg(&out).args([
-        "--quiet", "--photons-per-light", "400k", "--view", "in", "--samples", "16", "--width", "48",
-        "--height", "48",
+        "--quiet",
+        "--photons-per-light",
+        "400k",
+        "--view",
+        "in",
+        "--samples",
+        "16",
+        "--width",
+        "48",
+        "--height",
+        "48",
     ]));
     let picture = enf_image::read_exr(&out.join("in.exr")).unwrap();
     let green = picture.channel("G").unwrap();

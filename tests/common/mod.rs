@@ -80,10 +80,9 @@ impl Model {
 
     /// A box with its fronts outwards (or inwards: a room seen from inside).
     pub fn cuboid(&mut self, min: [f64; 3], max: [f64; 3], inwards: bool) {
-        let c = |i: usize| {
-            [0, 1, 2].map(|a| if i >> a & 1 == 0 { min[a] } else { max[a] })
-        };
-        let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let c = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { min[a] } else { max[a] });
+        let faces =
+            [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         for face in faces {
             let mut corners = face.map(c);
             if inwards {
@@ -104,7 +103,8 @@ impl Model {
                 centre[2] + s[2],
             ]
         };
-        let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
+        let faces =
+            [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         for face in faces {
             self.quad(face.map(c));
         }
@@ -169,7 +169,16 @@ pub fn two_rooms(path: &Path) {
 pub fn run_all(scene: &Path, out: &Path, extra: &[&str]) -> PathBuf {
     let mut command = bin("enfilade");
     command.arg("run").arg(scene).arg("-o").arg(out);
-    command.args(["--photons-per-light", "3k", "--samples", "2", "--width", "64", "--height", "48"]);
+    command.args([
+        "--photons-per-light",
+        "3k",
+        "--samples",
+        "2",
+        "--width",
+        "64",
+        "--height",
+        "48",
+    ]);
     command.args(["--quiet"]).args(extra);
     ok(&mut command);
     let stem = scene.file_stem().expect("a name").to_string_lossy().into_owned();
@@ -177,7 +186,9 @@ pub fn run_all(scene: &Path, out: &Path, extra: &[&str]) -> PathBuf {
 }
 
 pub fn digest(store: &Path, kind: &str) -> String {
-    stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--digest", kind]))).trim().to_string()
+    stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--digest", kind])))
+        .trim()
+        .to_string()
 }
 
 pub fn json(path: &Path) -> Value {

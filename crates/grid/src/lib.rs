@@ -50,7 +50,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     identity.push("structure", "grid");
     match session::begin(&store, StageKind::Grid, common.process, &identity, cli.force)? {
         Begin::Finished => {
-            say(common, "enf-grid: nothing to do, every grid is there already");
+            say(common, "nothing to do, every grid is there already");
             for &room in &rooms {
                 out.print(room)?;
             }

@@ -73,7 +73,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     identity.push("gather-radius", cli.kdtree.gather_radius);
     match session::begin(&store, StageKind::Kdtree, common.process, &identity, cli.force)? {
         Begin::Finished => {
-            say(common, "enf-kdtree: nothing to do, every map is there already");
+            say(common, "nothing to do, every map is there already");
             for &room in &rooms {
                 out.print(room)?;
             }
@@ -146,10 +146,7 @@ fn build(
     session.stats.set("map_halo_photons", halo_sum);
     if finished.len() == tables.rooms().len() {
         writer.seal()?;
-        say(
-            common,
-            format!("enf-kdtree: {sum} indirect photons in the maps, {halo_sum} of them halo"),
-        );
+        say(common, format!("{sum} indirect photons in the maps, {halo_sum} of them halo"));
     }
     Ok(())
 }

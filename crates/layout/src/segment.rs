@@ -81,7 +81,7 @@ pub enum ExtentKind {
     Tiles = 12,
     /// `u32` light ids, tile by tile ([`crate::room::TileRecord::first_light`]).
     TileLights = 13,
-    /// UTF-8 text: names of rooms, materials, lights and views, newline separated, as TOML.
+    /// UTF-8 JSON: names of the scene, rooms, materials, lights and views, and the input's units and up axis.
     Names = 14,
     /// [`crate::room::ViewRecord`]s.
     Views = 15,

@@ -212,7 +212,7 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
     drop(scene);
     let tables = enf_stage::tables::Tables::open(&store, &session.budget)?;
     if finished {
-        say(common, "enf-partition: nothing to do, the rooms are there already");
+        say(common, "nothing to do, the rooms are there already");
     }
     report(cli, &mut session, &tables);
     let stats = session.finish(common, "partition", &store)?;
@@ -297,7 +297,7 @@ fn partition(
     };
     if let Some(lux) = args.ceiling_lights {
         let hung = luminaires::hang(&mut world, rooms.rooms(), lux);
-        say(common, &format!("enf-partition: hung {hung} ceiling lights for {lux} lx"));
+        say(common, &format!("hung {hung} ceiling lights for {lux} lx"));
     }
     if world.lights.is_empty() {
         return Err(Failure::input("no room has a ceiling to hang a light from")
@@ -406,6 +406,8 @@ fn partition(
         materials: world.material_names,
         lights: world.light_names,
         views: scene.views.iter().map(|v| v.name.clone()).collect(),
+        units: scene.frame().units,
+        y_up: scene.frame().up == Up::Y,
     };
     let views: Vec<_> = scene.views.iter().map(|v| v.record).collect();
     let names = serde_json::to_vec(&names).map_err(Failure::internal)?;
@@ -459,7 +461,7 @@ fn report(cli: &Cli, session: &mut Session, tables: &enf_stage::tables::Tables) 
     say(
         &cli.common,
         &format!(
-            "enf-partition: {} triangles, {rooms} rooms in {} tiles, {} portals ({area:.1} m2), {} lights",
+            "{} triangles, {rooms} rooms in {} tiles, {} portals ({area:.1} m2), {} lights",
             tables.scene.triangles,
             tables.tiles().len(),
             portals.len(),

@@ -109,7 +109,11 @@ pub fn views(
     let mut known: Vec<(String, ViewRecord)> =
         tables.names.views.iter().cloned().zip(tables.views().iter().copied()).collect();
     if let Some(path) = &args.views {
-        let frame = Frame { units: 1.0, up: Up::Z, origin: tables.scene.origin };
+        let frame = Frame {
+            units: tables.names.units,
+            up: if tables.names.y_up { Up::Y } else { Up::Z },
+            origin: tables.scene.origin,
+        };
         let file =
             enf_scene::load_views(path, &frame).map_err(|e| Failure::input(e.to_string()))?;
         let file: Vec<_> = file.into_iter().map(|v| (v.name, v.record)).collect();

@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
-use enf_illumination::{Gather, Kernel};
+use enf_illumination::{Gather, IrradianceCache, Kernel};
 use enf_image::Film;
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
@@ -35,7 +35,7 @@ use serde_json::Value;
 use zerocopy::IntoBytes;
 
 pub use camera::{Camera, View};
-use shade::{Context, Job, Products, RoomLight, Scratch, Waiting, Work};
+use shade::{Context, Job, Products, RoomLight, RoomMap, Scratch, Waiting, Work};
 
 /// Pixels that are finished together. Part of the format of an unfinished render, hence no flag.
 const BAND_PIXELS: u32 = 1 << 16;
@@ -138,7 +138,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
     let mut shown = Shown::default();
     match session::begin(&store, StageKind::Render, common.process, &identity, cli.force)? {
-        Begin::Finished => say(common, "enf-render: nothing to do, the film is developed already"),
+        Begin::Finished => say(common, "nothing to do, the film is developed already"),
         Begin::Work(writer) => {
             let readers = Readers { tables: &tables, grid: &grid, trace: &trace, maps: &maps };
             shown = render(cli, &mut session, &readers, &views, *writer)?;
@@ -511,8 +511,16 @@ impl Driver<'_> {
         }
         let map = if self.context.indirect {
             let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
+            let photons = extent.count as usize;
             loop {
-                match self.readers.maps.map(&extent, &self.budget, "photon map") {
+                let attempt = || -> std::result::Result<RoomMap, StoreError> {
+                    let bytes = IrradianceCache::bytes(photons);
+                    let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
+                    let map = self.readers.maps.map(&extent, &self.budget, "photon map")?;
+                    let cache = IrradianceCache::new(photons);
+                    Ok(RoomMap { map, cache, _reservation: reservation })
+                };
+                match attempt() {
                     Ok(map) => break Some(map),
                     Err(StoreError::Budget(_)) if self.evict_light() || self.cache.evict_all() => {}
                     Err(error) => return Err(error.into()),

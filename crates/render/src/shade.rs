@@ -7,7 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use enf_illumination::{Gather, GatherScratch, PhotonMap, PortalSet};
+use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
 use enf_layout::light::{LIGHT_AREA, LightRecord};
@@ -16,7 +16,7 @@ use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_SHADOW, TransitRecord};
 use enf_rooms::Bsp;
 use enf_stage::resident::TileData;
 use enf_stage::tables::Tables;
-use enf_store::{Buffer, Mapped};
+use enf_store::{Buffer, Mapped, Reservation};
 use enf_transport::emission;
 use enf_transport::flight::{self, Flight, Resident, Surface};
 use enf_transport::rng::{self, Purpose};
@@ -31,8 +31,15 @@ const GLOBAL_SHARE: f32 = 0.02;
 
 /// What a room answers with: its photon map, and the lights that it sees.
 pub(crate) struct RoomLight {
-    pub(crate) map: Option<Mapped>,
+    pub(crate) map: Option<RoomMap>,
     pub(crate) lights: Vec<u32>,
+}
+
+/// A photon map in memory, and the irradiance that was gathered from it so far.
+pub(crate) struct RoomMap {
+    pub(crate) map: Mapped,
+    pub(crate) cache: IrradianceCache,
+    pub(crate) _reservation: Reservation,
 }
 
 /// Rays that wait, in memory or read back.
@@ -119,7 +126,7 @@ struct Shader<'a> {
     context: &'a Context<'a>,
     tile: Resident<'a>,
     room: u32,
-    map: Option<PhotonMap<'a>>,
+    map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     portals: PortalSet<'a>,
     lights: &'a [u32],
     film: &'a Film,
@@ -147,7 +154,10 @@ impl Context<'_> {
                 delta: self.tables.scene.delta,
             },
             room,
-            map: job.light.map.as_ref().map(|m| PhotonMap::from_blob(m)).transpose()?,
+            map: match &job.light.map {
+                Some(room) => Some((PhotonMap::from_blob(&room.map)?, &room.cache)),
+                None => None,
+            },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
             film: &job.film,
@@ -333,17 +343,18 @@ impl Shader<'_> {
     ) {
         let reflected = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
         if self.context.indirect
-            && let Some(map) = &self.map
+            && let Some((map, cache)) = &self.map
         {
             products.gathers += 1;
-            let gathered = map.irradiance(
+            let gathered = cache.irradiance(
+                map,
                 surface.position,
                 surface.normal,
                 &self.context.gather,
                 &self.portals,
                 &mut scratch.gather,
             );
-            let radiance = reflected * Vec3::from(gathered.rgb);
+            let radiance = reflected * Vec3::from(gathered);
             self.film.add_indirect(self.film_pixel(record), radiance.to_array());
         }
         self.direct(record, surface, reflected, scratch, products);

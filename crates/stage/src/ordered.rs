@@ -75,11 +75,16 @@ mod tests {
         for threads in [1, 2, 5] {
             let mut seen = Vec::new();
             let spin = |i: usize| (0..(i * 7919) % 1000).sum::<usize>();
-            ordered(threads, 100, |_, i| Ok((i, spin(i))), |i, r| {
-                assert_eq!(r, (i, spin(i)));
-                seen.push(i);
-                Ok(Continue::Yes)
-            })
+            ordered(
+                threads,
+                100,
+                |_, i| Ok((i, spin(i))),
+                |i, r| {
+                    assert_eq!(r, (i, spin(i)));
+                    seen.push(i);
+                    Ok(Continue::Yes)
+                },
+            )
             .unwrap();
             assert_eq!(seen, (0..100).collect::<Vec<_>>());
         }
@@ -99,10 +104,15 @@ mod tests {
     #[test]
     fn stopping_early_is_no_failure() {
         let mut count = 0;
-        ordered(2, 1000, |_, i| Ok(i), |i, _| {
-            count += 1;
-            Ok(if i == 9 { Continue::No } else { Continue::Yes })
-        })
+        ordered(
+            2,
+            1000,
+            |_, i| Ok(i),
+            |i, _| {
+                count += 1;
+                Ok(if i == 9 { Continue::No } else { Continue::Yes })
+            },
+        )
         .unwrap();
         assert_eq!(count, 10);
     }

@@ -10,10 +10,10 @@ use enf_store::{
 use parking_lot::Mutex;
 
 use crate::args::CommonArgs;
+use crate::failure::{Failure, Result};
 use crate::ids::{IdSink, Selection};
 use crate::interrupt;
 use crate::ordered::Continue;
-use crate::failure::{Failure, Result};
 use crate::stats::Stats;
 use crate::tables::Tables;
 use crate::timeline::Timeline;
@@ -79,7 +79,12 @@ impl Session {
     ///
     /// # Errors
     /// Exit 5 when the report or the timeline cannot be written.
-    pub fn finish(mut self, common: &CommonArgs, stage: &str, store: &StoreDir) -> Result<serde_json::Value> {
+    pub fn finish(
+        mut self,
+        common: &CommonArgs,
+        stage: &str,
+        store: &StoreDir,
+    ) -> Result<serde_json::Value> {
         self.stats.set_budget(&self.budget);
         self.stats.set_io(store.io(), enf_store::IoCounters::default());
         if SHARED.lock().is_none() {
@@ -126,7 +131,9 @@ pub fn begin(
                 stage.name(),
                 differences.join("; ")
             ))
-            .with_hint("--force discards it and everything made from it, or choose another output"));
+            .with_hint(
+                "--force discards it and everything made from it, or choose another output",
+            ));
         }
     }
     match StageWriter::open(store, stage, process, identity) {
@@ -201,7 +208,6 @@ pub fn too_small(
         memory >> 20
     ))
 }
-
 
 /// Rooms are announced, and work is durable, about this often.
 const ANNOUNCE_EVERY: Duration = Duration::from_millis(400);

@@ -20,7 +20,7 @@ pub struct Tables {
     pub partition: StageReader,
     /// Facts about the scene.
     pub scene: SceneRecord,
-    /// Names, as TOML text: `rooms`, `materials`, `lights` and `views` lists.
+    /// Names of things, and the input's frame.
     pub names: Names,
     materials: Buffer,
     lights: Buffer,
@@ -50,6 +50,10 @@ pub struct Names {
     pub lights: Vec<String>,
     /// By view.
     pub views: Vec<String>,
+    /// Metres per unit of the input.
+    pub units: f64,
+    /// The input's up axis was y.
+    pub y_up: bool,
 }
 
 macro_rules! table {
@@ -104,7 +108,8 @@ impl Tables {
 
     /// Every index that a stage follows is in range, so that a damaged store cannot make one panic.
     fn check(&self) -> Result<()> {
-        let bad = |what: &str| Err(Failure::input(format!("the store's {what} table is inconsistent")));
+        let bad =
+            |what: &str| Err(Failure::input(format!("the store's {what} table is inconsistent")));
         let within = |first: u32, count: u32, len: usize| {
             (u64::from(first) + u64::from(count)) <= len as u64
         };
@@ -126,12 +131,17 @@ impl Tables {
             return bad("portal");
         }
         if !self.tiles().iter().all(|t| {
-            (t.room as usize) < rooms && within(t.first_light, t.light_count, self.tile_lights().len())
+            (t.room as usize) < rooms
+                && within(t.first_light, t.light_count, self.tile_lights().len())
         }) || !self.tile_lights().iter().all(|&l| (l as usize) < self.lights().len())
         {
             return bad("tile");
         }
-        if !self.lights().iter().all(|l| within(l.first_emitter, l.emitter_count, self.emitters().len())) {
+        if !self
+            .lights()
+            .iter()
+            .all(|l| within(l.first_emitter, l.emitter_count, self.emitters().len()))
+        {
             return bad("light");
         }
         Ok(())
@@ -188,13 +198,15 @@ impl Tables {
     /// The portals that lead out of a room.
     pub fn portals_of(&self, room: u32) -> &[PortalRecord] {
         let room = &self.rooms()[room as usize];
-        &self.portals()[room.first_portal as usize..(room.first_portal + room.portal_count) as usize]
+        &self.portals()
+            [room.first_portal as usize..(room.first_portal + room.portal_count) as usize]
     }
 
     /// The lights that may start in a tile.
     pub fn lights_of(&self, tile: u32) -> &[u32] {
         let tile = &self.tiles()[tile as usize];
-        &self.tile_lights()[tile.first_light as usize..(tile.first_light + tile.light_count) as usize]
+        &self.tile_lights()
+            [tile.first_light as usize..(tile.first_light + tile.light_count) as usize]
     }
 
     /// Rooms without the outside, as reports count them.

@@ -147,7 +147,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     identity.push("photons-per-light", cli.trace.photons_per_light);
     let rooms = tables.rooms().len() as u32;
     match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
-        Begin::Finished => say(common, "enf-trace: nothing to do, every photon is stored already"),
+        Begin::Finished => say(common, "nothing to do, every photon is stored already"),
         Begin::Work(writer) => {
             let totals = trace(cli, &mut session, &tables, &grid, *writer)?;
             report(cli, &mut session, &tables, &totals);
@@ -203,7 +203,7 @@ fn trace(
     )?;
     let (waiting, cursors) = recorder.resume_state();
     if resumed {
-        say(common, "enf-trace: going on where the last run stopped");
+        say(common, "going on where the last run stopped");
     }
 
     let context = Context {
@@ -481,7 +481,7 @@ fn report(cli: &Cli, session: &mut Session, tables: &Tables, totals: &Totals) {
     say(
         &cli.common,
         &format!(
-            "enf-trace: {} photons emitted = {} absorbed + {} escaped; {} impacts stored, {:.2} reflections a photon",
+            "{} photons emitted = {} absorbed + {} escaped; {} impacts stored, {:.2} reflections a photon",
             sum.emitted,
             sum.absorbed,
             sum.escaped,

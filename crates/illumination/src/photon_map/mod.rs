@@ -16,6 +16,7 @@
 //!   point, so a result has the same bits whatever the order of arrival, the shape of the tree, or
 //!   the side of the portal that a photon was stored on.
 
+mod cache;
 mod gather;
 mod map;
 mod order;
@@ -26,6 +27,7 @@ mod tests;
 mod tests_support;
 mod tree;
 
+pub use cache::IrradianceCache;
 pub use gather::{
     Gather, GatherScratch, Irradiance, Kernel, NORMAL_COSINE, SLAB_FLOOR_M, SLAB_FLOOR_RADII,
     SLAB_SLOPE, SMALLEST_DISC_M, SMALLEST_DISC_RADII,
