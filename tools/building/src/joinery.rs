@@ -127,16 +127,16 @@ fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
     // Handles on the sashes, a board inside, a drip sill outside.
     for k in 1..sashes {
         let x = -w / 2.0 + w * f64::from(k) / f64::from(sashes) + 0.02;
-        m.add(cylinder("metal.steel", 0.012, 0.03, 8).tipped(-90.0).at(x, 0.0, h * 0.45));
         let grip = [
+            v(x, -0.01, h * 0.45 + 0.01),
             v(x, 0.032, h * 0.45 + 0.01),
             v(x, 0.036, h * 0.45 - 0.05),
             v(x, 0.036, h * 0.45 - 0.11),
         ];
-        m.add(tube("metal.steel", &grip, 0.009, 6));
+        m.add(tube("metal.steel", &grip, 0.009, 5));
     }
     let e = w / 2.0 - 0.002;
-    m.add(rounded("stone.sill", v(-e, 0.01, 0.001), v(e, t / 2.0 + 0.04, 0.026), 0.008, 2));
+    m.add(rounded("stone.sill", v(-e, 0.01, 0.001), v(e, t / 2.0 + 0.04, 0.026), 0.008, 1));
     m.add(rounded("metal.steel", v(-e, -t / 2.0 - 0.04, 0.001), v(e, -0.075, 0.016), 0.004, 1));
     m
 }
@@ -159,7 +159,7 @@ fn entrance(w: f64, h: f64) -> Mesh {
     for s in [-1.0, 1.0] {
         let x = 0.07 * s;
         for y in [-0.09, 0.075] {
-            m.add(tube("metal.steel", &[v(x, y, 0.75), v(x, y, 1.35)], 0.013, 7));
+            m.add(tube("metal.steel", &[v(x, y, 0.75), v(x, y, 1.35)], 0.013, 5));
             for z in [0.85, 1.25] {
                 let (a, b) = if y < 0.0 { (y, -0.036) } else { (0.02, y) };
                 m.add(tube("metal.steel", &[v(x, a, z), v(x, b, z)], 0.008, 5));
@@ -174,9 +174,9 @@ fn casing(w: f64, h: f64, t: f64) -> Mesh {
     let (c, e) = (0.07, w / 2.0);
     let mut m = Mesh::new();
     for (y0, y1) in [(-t / 2.0 - 0.0155, -t / 2.0 - 0.0005), (t / 2.0 + 0.0005, t / 2.0 + 0.0155)] {
-        m.add(rounded("trim.white", v(-e - c, y0, 0.001), v(-e, y1, h), 0.005, 1));
-        m.add(rounded("trim.white", v(e, y0, 0.001), v(e + c, y1, h), 0.005, 1));
-        m.add(rounded("trim.white", v(-e - c, y0, h), v(e + c, y1, h + c), 0.005, 1));
+        m.add(cuboid("trim.white", v(-e - c, y0, 0.001), v(-e, y1, h)));
+        m.add(cuboid("trim.white", v(e, y0, 0.001), v(e + c, y1, h)));
+        m.add(cuboid("trim.white", v(-e - c, y0, h), v(e + c, y1, h + c)));
     }
     m
 }
@@ -206,7 +206,7 @@ pub fn leaf(o: &Opening, leaf: &Leaf) -> (Placement, Mesh) {
 
 fn leaf_mesh(paint: Paint) -> Mesh {
     let (w, h, t) = (LEAF_WIDTH, 2.075, 0.019);
-    let mut m = rounded(paint, v(0.0, -t, 0.0), v(w, t, h), 0.004, 2);
+    let mut m = rounded(paint, v(0.0, -t, 0.0), v(w, t, h), 0.004, 1);
     for side in [-1.0, 1.0] {
         // Two raised panels with a moulding.
         for (z0, z1) in [(0.16, 0.88), (1.14, 1.94)] {
@@ -215,24 +215,23 @@ fn leaf_mesh(paint: Paint) -> Mesh {
             let y = |a: f64, b: f64| if side > 0.0 { (a, b) } else { (-b, -a) };
             m.add(frame(paint, (x0, z0, x1, z1), bar, y(t + 0.0005, t + 0.012)));
             let (a, b) = y(t + 0.0005, t + 0.007);
-            m.add(rounded(paint, v(x0 + 0.06, a, z0 + 0.06), v(x1 - 0.06, b, z1 - 0.06), 0.003, 2));
+            m.add(rounded(paint, v(x0 + 0.06, a, z0 + 0.06), v(x1 - 0.06, b, z1 - 0.06), 0.003, 1));
         }
         let (x, z) = (w - 0.065, 1.02);
         let y = t * side;
-        let rose = cylinder("metal.steel", 0.026, 0.008, 12);
+        let rose = cylinder("metal.steel", 0.026, 0.008, 9);
         let facing = if side > 0.0 { -90.0 } else { 90.0 };
-        m.add(rose.clone().tipped(facing).at(x, y + 0.0005 * side, z));
-        m.add(rose.scaled(0.8, 0.8, 1.0).tipped(facing).at(x, y + 0.0005 * side, z - 0.085));
+        m.add(rose.tipped(facing).at(x, y + 0.0005 * side, z));
         let lever = [
             v(x, y + 0.008 * side, z),
             v(x, y + 0.045 * side, z),
             v(x - 0.012, y + 0.055 * side, z),
             v(x - 0.12, y + 0.055 * side, z - 0.004),
         ];
-        m.add(tube("metal.steel", &crate::mesh::curve(&lever, 3), 0.009, 6));
+        m.add(tube("metal.steel", &crate::mesh::curve(&lever, 2), 0.009, 5));
     }
-    for z in [0.25, 1.05, 1.85] {
-        m.add(cylinder("metal.steel", 0.007, 0.09, 8).at(-0.006, 0.0, z));
+    for z in [0.25, 1.85] {
+        m.add(tube("metal.steel", &[v(-0.006, 0.0, z), v(-0.006, 0.0, z + 0.09)], 0.007, 6));
     }
     m
 }
@@ -344,9 +343,9 @@ fn flight(n: usize, rise: f64, going: f64, width: f64) -> Mesh {
 /// Balusters and handrail from `a` to `b` (feet of the rail).
 fn railing(a: glam::DVec3, b: glam::DVec3, count: usize) -> Mesh {
     let up = v(0.0, 0.0, 0.92);
-    let mut m = tube("wood.oak", &[a + up, b + up], 0.024, 8);
+    let mut m = tube("wood.oak", &[a + up, b + up], 0.024, 6);
     for p in [a, b] {
-        m.add(soft("wood.oak", 0.05, 0.05, 1.02, 0.008, 2).at(p.x, p.y, p.z));
+        m.add(soft("wood.oak", 0.05, 0.05, 1.02, 0.008, 1).at(p.x, p.y, p.z));
         m.add(ball("wood.oak", 0.032, 8).at(p.x, p.y, p.z + 1.04));
     }
     for k in 0..count {
@@ -410,25 +409,25 @@ fn outside(plan: &Plan) -> Mesh {
             v(step.x0, step.y0, lawn + 0.001),
             v(step.x1, step.y1, -0.02),
             0.02,
-            2,
+            1,
         ));
         m.add(rounded(
             "frame.dark",
             v(x - 1.3, r.y0 - 1.3, 2.5),
             v(x + 1.3, r.y0 - 0.002, 2.6),
             0.02,
-            2,
+            1,
         ));
         for s in [-1.2, 1.2] {
-            m.add(cylinder("metal.dark", 0.03, 2.52, 10).at(x + s, r.y0 - 1.2, -0.019));
+            m.add(cylinder("metal.dark", 0.03, 2.52, 8).at(x + s, r.y0 - 1.2, -0.019));
         }
     }
     for (x, y) in [(0.35, -0.06), (23.35, -0.06), (-0.06, 22.6), (12.56, 22.6), (23.76, 12.1)] {
-        m.add(tube("metal.steel", &[v(x, y, lawn + 0.05), v(x, y, top)], 0.045, 10));
+        m.add(tube("metal.steel", &[v(x, y, lawn + 0.05), v(x, y, top)], 0.045, 8));
         let brackets = 2 * plan.storeys;
         for k in 0..brackets {
             let z = top * (f64::from(k) + 0.5) / f64::from(brackets);
-            m.add(cylinder("metal.dark", 0.052, 0.03, 10).at(x, y, z));
+            m.add(cylinder("metal.dark", 0.052, 0.03, 8).at(x, y, z));
         }
     }
     // Parapet coping.

@@ -5,7 +5,7 @@
 
 use crate::Part;
 use crate::furnish::Placement;
-use crate::mesh::{Mesh, lathe, rounded, sin_cos, tube, v};
+use crate::mesh::{Mesh, cuboid, lathe, rounded, sin_cos, tube, v};
 use crate::palette::PANEL;
 use crate::plan::{Lamp, Panel, Plan};
 use std::f64::consts::TAU;
@@ -24,7 +24,7 @@ fn unit(panel: Panel, along_y: bool) -> Mesh {
     let (hx, hy) = (x / 2.0, y / 2.0);
     let edge = 0.02;
     let z = -DROP;
-    let mut m = rounded("lamp.housing", v(-hx, -hy, z + 0.008), v(hx, hy, -0.002), 0.008, 3);
+    let mut m = rounded("lamp.housing", v(-hx, -hy, z + 0.008), v(hx, hy, -0.002), 0.008, 1);
     // A rim around the panel, whose lower side stays above the panel.
     for (a, b) in [
         (v(-hx, -hy, 0.0), v(hx, -hy + edge, 0.0)),
@@ -32,7 +32,7 @@ fn unit(panel: Panel, along_y: bool) -> Mesh {
         (v(-hx, -hy + edge, 0.0), v(-hx + edge, hy - edge, 0.0)),
         (v(hx - edge, -hy + edge, 0.0), v(hx, hy - edge, 0.0)),
     ] {
-        m.add(rounded("lamp.housing", v(a.x, a.y, z + 0.001), v(b.x, b.y, z + 0.012), 0.003, 1));
+        m.add(cuboid("lamp.housing", v(a.x, a.y, z + 0.001), v(b.x, b.y, z + 0.012)));
     }
     let (px, py) = (hx - edge, hy - edge);
     let (nx, ny) = if x > y {
@@ -63,9 +63,9 @@ fn round() -> Mesh {
             (r, -0.002),
             (0.0, -0.002),
         ],
-        40,
+        28,
     );
-    let segments = 32;
+    let segments = 28;
     let centre = m.point(v(0.0, 0.0, -DROP));
     let rim: Vec<u32> = (0..segments)
         .map(|i| {

@@ -577,6 +577,23 @@ pub fn superellipse(x: f64, y: f64, power: f64, segments: usize) -> Vec<DVec2> {
         .collect()
 }
 
+/// Bands around copies of `outline`, scaled and lifted by `profile` (scale, z), the inside on the
+/// left of the profile. With `closed` the last band joins the first, as in a ring.
+pub fn bands(paint: Paint, outline: &[DVec2], profile: &[(f64, f64)], closed: bool) -> Mesh {
+    let mut m = Mesh::new();
+    let rings: Vec<Vec<u32>> = profile
+        .iter()
+        .map(|&(f, z)| outline.iter().map(|p| m.point(v(p.x * f, p.y * f, z))).collect())
+        .collect();
+    for pair in rings.windows(2) {
+        bridge(&mut m, &pair[0], &pair[1], paint);
+    }
+    if closed {
+        bridge(&mut m, &rings[rings.len() - 1], &rings[0], paint);
+    }
+    m
+}
+
 /// A table or counter top: a prism with a soft edge on both rims.
 pub fn top(paint: Paint, outline: &[DVec2], z0: f64, z1: f64) -> Mesh {
     let b = (z1 - z0) * 0.3;

@@ -24,7 +24,7 @@ pub fn pot(paint: Paint, radius: f64, height: f64) -> Mesh {
             (r - 0.018, height - 0.035),
             (0.0, height - 0.035),
         ],
-        22,
+        14,
     );
     m.add(lathe(
         "soil",
@@ -34,7 +34,7 @@ pub fn pot(paint: Paint, radius: f64, height: f64) -> Mesh {
             (r * 0.5, height - 0.022),
             (0.0, height - 0.018),
         ],
-        14,
+        8,
     ));
     m
 }
@@ -66,7 +66,7 @@ pub fn rubber_tree(pot_paint: Paint, height: f64, leaves: usize, mut rng: Rng) -
                 v(0.05 * cs, 0.06 * sn, tall * 0.5),
                 v(lean * cs, lean * sn, tall * 0.94),
             ],
-            6,
+            4,
         );
         m.add(rod("bark", &path, |t| 0.013 - 0.007 * t, 5));
         let each = leaves / stems as usize;
@@ -76,12 +76,9 @@ pub fn rubber_tree(pot_paint: Paint, height: f64, leaves: usize, mut rng: Rng) -
             let angle = 137.5 * k as f64 + turn + rng.around(18.0);
             let size = rng.range(0.17, 0.26) * (1.15 - 0.45 * t);
             let paint = if rng.unit() < 0.65 { "leaf.dark" } else { "leaf.green" };
-            let blade = leaf(paint, size, size * 0.5, rng.range(0.2, 0.6), 4).at(0.045, 0.0, 0.0);
+            let blade = leaf(paint, size, size * 0.5, rng.range(0.2, 0.6), 4);
             let lift = rng.range(5.0, 42.0) * (0.5 + t * 0.6);
             m.add(blade.rolled(-lift).turned(angle).at(p.x, p.y, p.z));
-            let (a, b) = sin_cos(radians(angle));
-            let (u, w) = sin_cos(radians(lift));
-            m.add(tube("leaf.green", &[p, p + v(b * w, a * w, u) * 0.05], 0.003, 5));
         }
     }
     m
@@ -101,10 +98,10 @@ pub fn palm(pot_paint: Paint, height: f64, fronds: usize, mut rng: Rng) -> Mesh 
                 v(reach * 0.55, 0.0, tall * 0.95),
                 v(reach, 0.0, tall * 0.86),
             ],
-            6,
+            2,
         );
-        let mut frond = rod("leaf.green", &path, |t| 0.008 - 0.006 * t, 5);
-        let count = 16;
+        let mut frond = rod("leaf.green", &path, |t| 0.008 - 0.006 * t, 4);
+        let count = 11;
         let paint = if rng.unit() < 0.6 { "leaf.green" } else { "leaf.light" };
         for k in 0..count {
             let t = 0.42 + 0.58 * f64::from(k) / f64::from(count);
@@ -132,7 +129,7 @@ pub fn snake_plant(pot_paint: Paint, leaves: usize, mut rng: Rng) -> Mesh {
         let lean = rng.range(0.0, 0.16);
         let start = rng.range(0.0, TAU);
         let paint = if k % 3 == 0 { "leaf.light" } else { "leaf.dark" };
-        m.add(plate(paint, (2, 6), 0.004, |a, b| {
+        m.add(plate(paint, (1, 5), 0.004, |a, b| {
             let half = 0.03 * (1.0 - b * b) * (0.75 + b * 0.5) + 0.0015;
             let (s, c) = sin_cos(start + twist * b);
             let x = (2.0 * a - 1.0) * half;
@@ -150,9 +147,9 @@ pub fn snake_plant(pot_paint: Paint, leaves: usize, mut rng: Rng) -> Mesh {
 /// A small plant for a desk or a sill.
 pub fn pot_plant(pot_paint: Paint, mut rng: Rng) -> Mesh {
     let mut m = pot(pot_paint, 0.07, 0.12);
-    for k in 0..34 {
+    for k in 0..24 {
         let angle = 137.5 * f64::from(k);
-        let t = f64::from(k) / 34.0;
+        let t = f64::from(k) / 24.0;
         let size = rng.range(0.08, 0.13);
         let blade = leaf(
             if k % 4 == 0 { "leaf.light" } else { "leaf.green" },
@@ -171,11 +168,11 @@ pub fn floor_lamp(metal: Paint, shade: Paint) -> Mesh {
     let mut m = lathe(
         metal,
         &[(0.0, 0.0), (0.14, 0.0), (0.145, 0.008), (0.13, 0.018), (0.02, 0.03), (0.0, 0.03)],
-        22,
+        14,
     );
-    m.add(tube(metal, &[v(0.0, 0.0, 0.029), v(0.0, 0.0, 1.42)], 0.011, 8));
+    m.add(tube(metal, &[v(0.0, 0.0, 0.029), v(0.0, 0.0, 1.42)], 0.011, 6));
     m.add(drum(shade, 0.15, 0.21, 0.3).at(0.0, 0.0, 1.32));
-    m.add(ball("ceramic.white", 0.035, 10).at(0.0, 0.0, 1.46));
+    m.add(ball("ceramic.white", 0.035, 8).at(0.0, 0.0, 1.46));
     m
 }
 
@@ -200,7 +197,7 @@ fn drum(paint: Paint, upper: f64, lower: f64, height: f64) -> Mesh {
 
 /// An arc lamp that reaches over a table.
 pub fn arc_lamp() -> Mesh {
-    let mut m = soft("stone.dark", 0.34, 0.34, 0.07, 0.015, 3);
+    let mut m = soft("stone.dark", 0.34, 0.34, 0.07, 0.015, 1);
     let path = curve(
         &[
             v(0.0, 0.0, 0.069),
@@ -209,9 +206,9 @@ pub fn arc_lamp() -> Mesh {
             v(0.0, -0.8, 1.95),
             v(0.0, -1.2, 1.78),
         ],
-        8,
+        5,
     );
-    m.add(tube("metal.chrome", &path, 0.012, 7));
+    m.add(tube("metal.chrome", &path, 0.012, 5));
     let dome = lathe(
         "metal.chrome",
         &[
@@ -226,7 +223,7 @@ pub fn arc_lamp() -> Mesh {
             (0.05, 0.003),
             (0.0, 0.007),
         ],
-        22,
+        14,
     );
     m.add(flip_if_inward(dome).at(0.0, -1.2, 1.78));
     m
@@ -259,7 +256,7 @@ pub fn table_lamp(body: Paint, shade: Paint) -> Mesh {
             (0.012, 0.33),
             (0.0, 0.33),
         ],
-        19,
+        12,
     );
     m.add(drum(shade, 0.1, 0.15, 0.2).at(0.0, 0.0, 0.28));
     m.add(ball("ceramic.white", 0.028, 8).at(0.0, 0.0, 0.36));
@@ -268,10 +265,10 @@ pub fn table_lamp(body: Paint, shade: Paint) -> Mesh {
 
 /// A jointed desk lamp.
 pub fn desk_lamp(paint: Paint) -> Mesh {
-    let mut m = cylinder(paint, 0.09, 0.022, 18);
-    m.add(tube(paint, &[v(0.0, 0.0, 0.02), v(0.1, 0.0, 0.24)], 0.009, 6));
+    let mut m = cylinder(paint, 0.09, 0.022, 14);
+    m.add(tube(paint, &[v(0.0, 0.0, 0.02), v(0.1, 0.0, 0.24)], 0.009, 5));
     m.add(ball(paint, 0.017, 8).at(0.1, 0.0, 0.24));
-    m.add(tube(paint, &[v(0.1, 0.0, 0.24), v(-0.12, 0.0, 0.42)], 0.008, 6));
+    m.add(tube(paint, &[v(0.1, 0.0, 0.24), v(-0.12, 0.0, 0.42)], 0.008, 5));
     m.add(ball(paint, 0.015, 8).at(-0.12, 0.0, 0.42));
     let head = lathe(
         paint,
@@ -284,7 +281,7 @@ pub fn desk_lamp(paint: Paint) -> Mesh {
             (0.02, 0.03),
             (0.0, 0.035),
         ],
-        14,
+        8,
     );
     m.add(head.rolled(25.0).at(-0.14, 0.0, 0.42));
     m
@@ -382,7 +379,7 @@ pub fn round_rug(ground: Paint, border: Paint, radius: f64) -> Mesh {
             (radius * 0.5, 0.011),
             (0.0, 0.011),
         ],
-        38,
+        24,
     );
     for t in &mut m.triangles {
         let far =
@@ -413,21 +410,21 @@ pub fn vase(paint: Paint, height: f64) -> Mesh {
             (0.17 * h, 0.74 * h),
             (0.0, 0.6 * h),
         ],
-        17,
+        11,
     )
 }
 
 /// A vase with tulips.
 pub fn flowers(paint: Paint, bloom: Paint, mut rng: Rng) -> Mesh {
     let mut m = vase(paint, 0.2);
-    for k in 0..9 {
-        let (s, c) = sin_cos(radians(40.0 * f64::from(k) + rng.around(12.0)));
+    for k in 0..7 {
+        let (s, c) = sin_cos(radians(51.0 * f64::from(k) + rng.around(12.0)));
         let (out, up) = (rng.range(0.03, 0.12), rng.range(0.32, 0.44));
         let path = curve(
             &[v(0.0, 0.0, 0.13), v(out * 0.3 * c, out * 0.3 * s, 0.25), v(out * c, out * s, up)],
-            4,
+            2,
         );
-        m.add(tube("leaf.green", &path, 0.003, 5));
+        m.add(tube("leaf.green", &path, 0.003, 3));
         m.add(
             lathe(
                 bloom,
@@ -444,7 +441,7 @@ pub fn flowers(paint: Paint, bloom: Paint, mut rng: Rng) -> Mesh {
             )
             .at(out * c, out * s, up - 0.004),
         );
-        let blade = leaf("leaf.green", 0.16, 0.028, 0.2, 5);
+        let blade = leaf("leaf.green", 0.16, 0.028, 0.2, 4);
         m.add(blade.rolled(-58.0).turned(40.0 * f64::from(k) + 20.0).at(0.0, 0.0, 0.17));
     }
     m
@@ -464,11 +461,11 @@ pub fn mug(paint: Paint) -> Mesh {
             (0.036, 0.012),
             (0.0, 0.01),
         ],
-        14,
+        8,
     );
     let handle = curve(
         &[v(0.04, 0.0, 0.075), v(0.066, 0.0, 0.07), v(0.068, 0.0, 0.035), v(0.04, 0.0, 0.02)],
-        4,
+        2,
     );
     m.add(tube(paint, &handle, 0.005, 5));
     m
@@ -490,12 +487,12 @@ pub fn fruit_bowl(paint: Paint, fruit: [Paint; 2], mut rng: Rng) -> Mesh {
             (0.05, 0.018),
             (0.0, 0.016),
         ],
-        24,
+        15,
     );
     for k in 0..7 {
         let (s, c) = sin_cos(TAU * f64::from(k) / 6.0);
         let (r, z) = if k == 6 { (0.0, 0.095) } else { (0.068, 0.066) };
-        m.add(ball(fruit[k as usize % 2], rng.range(0.033, 0.037), 10).at(r * c, r * s, z));
+        m.add(ball(fruit[k as usize % 2], rng.range(0.033, 0.037), 8).at(r * c, r * s, z));
     }
     m
 }
@@ -514,7 +511,7 @@ pub fn place_setting() -> Mesh {
             (0.08, 0.009),
             (0.0, 0.007),
         ],
-        22,
+        14,
     );
     for (x, w) in [(-0.17, 0.011), (0.165, 0.009), (0.19, 0.012)] {
         m.add(rounded(
@@ -537,7 +534,7 @@ pub fn place_setting() -> Mesh {
                 (0.027, 0.006),
                 (0.0, 0.005),
             ],
-            12,
+            8,
         )
         .at(0.15, 0.15, 0.0),
     );
@@ -547,10 +544,10 @@ pub fn place_setting() -> Mesh {
 /// A flat screen on a foot, a keyboard and a mouse; the user is at -y.
 pub fn computer() -> Mesh {
     let mut m = all([
-        rounded("plastic.black", v(-0.29, 0.11, 0.12), v(0.29, 0.135, 0.47), 0.006, 2),
+        rounded("plastic.black", v(-0.29, 0.11, 0.12), v(0.29, 0.135, 0.47), 0.006, 1),
         cuboid("screen", v(-0.28, 0.1085, 0.132), v(0.28, 0.1095, 0.458)),
-        rounded("plastic.black", v(-0.11, 0.06, 0.0), v(0.11, 0.24, 0.012), 0.005, 2),
-        soft("plastic.black", 0.05, 0.03, 0.2, 0.008, 2).at(0.0, 0.155, 0.0115),
+        rounded("plastic.black", v(-0.11, 0.06, 0.0), v(0.11, 0.24, 0.012), 0.005, 1),
+        soft("plastic.black", 0.05, 0.03, 0.2, 0.008, 1).at(0.0, 0.155, 0.0115),
     ]);
     // A window with lines of text.
     for k in 0..9 {
@@ -560,41 +557,41 @@ pub fn computer() -> Mesh {
     }
     m.add(keyboard().at(0.0, -0.16, 0.0));
     m.add(
-        rounded("plastic.black", v(-0.03, -0.05, 0.0), v(0.03, 0.05, 0.032), 0.015, 4)
+        rounded("plastic.black", v(-0.03, -0.05, 0.0), v(0.03, 0.05, 0.032), 0.015, 2)
             .at(0.3, -0.15, 0.001),
     );
     m
 }
 
 fn keyboard() -> Mesh {
-    let mut m = rounded("plastic.grey", v(-0.215, -0.065, 0.001), v(0.215, 0.065, 0.014), 0.005, 2);
-    for row in 0..5 {
-        for k in 0..14 {
-            if row == 0 && (3..9).contains(&k) {
+    let mut m = rounded("plastic.grey", v(-0.215, -0.065, 0.001), v(0.215, 0.065, 0.014), 0.005, 1);
+    for row in 0..4 {
+        for k in 0..12 {
+            if row == 0 && (3..8).contains(&k) {
                 continue;
             }
             let (x, y) = (
-                -0.2 + 0.0288 * f64::from(k) + 0.004 * f64::from(row % 2),
-                -0.054 + 0.0225 * f64::from(row),
+                -0.2 + 0.0335 * f64::from(k) + 0.004 * f64::from(row % 2),
+                -0.054 + 0.028 * f64::from(row),
             );
-            m.add(cuboid("plastic.black", v(x, y, 0.0145), v(x + 0.024, y + 0.018, 0.02)));
+            m.add(cuboid("plastic.black", v(x, y, 0.0145), v(x + 0.029, y + 0.0235, 0.02)));
         }
     }
-    m.add(cuboid("plastic.black", v(-0.11, -0.054, 0.0145), v(0.056, -0.036, 0.02)));
+    m.add(cuboid("plastic.black", v(-0.095, -0.054, 0.0145), v(0.064, -0.0305, 0.02)));
     m
 }
 
 /// An open laptop; the user is at -y.
 pub fn laptop(paint: Paint) -> Mesh {
-    let mut m = rounded(paint, v(-0.16, -0.11, 0.0), v(0.16, 0.11, 0.014), 0.005, 2);
+    let mut m = rounded(paint, v(-0.16, -0.11, 0.0), v(0.16, 0.11, 0.014), 0.005, 1);
     for row in 0..4 {
-        for k in 0..12 {
-            let (x, y) = (-0.138 + 0.0232 * f64::from(k), 0.005 + 0.0215 * f64::from(row));
-            m.add(cuboid("plastic.black", v(x, y, 0.0143), v(x + 0.019, y + 0.017, 0.0165)));
+        for k in 0..8 {
+            let (x, y) = (-0.138 + 0.0348 * f64::from(k), 0.005 + 0.0215 * f64::from(row));
+            m.add(cuboid("plastic.black", v(x, y, 0.0143), v(x + 0.03, y + 0.017, 0.0165)));
         }
     }
     m.add(cuboid("plastic.grey", v(-0.05, -0.085, 0.0143), v(0.05, -0.02, 0.015)));
-    let mut lid = rounded(paint, v(-0.16, -0.004, 0.0), v(0.16, 0.004, 0.215), 0.003, 2);
+    let mut lid = rounded(paint, v(-0.16, -0.004, 0.0), v(0.16, 0.004, 0.215), 0.003, 1);
     lid.add(cuboid("screen", v(-0.15, -0.0055, 0.012), v(0.15, -0.0045, 0.205)));
     for k in 0..5 {
         let z = 0.18 - 0.026 * f64::from(k);
@@ -630,7 +627,7 @@ pub fn book_pile(count: usize, mut rng: Rng) -> Mesh {
     for _ in 0..count {
         let t = rng.range(0.018, 0.042);
         let (d, h) = (rng.range(0.13, 0.17), rng.range(0.19, 0.24));
-        let b = crate::furniture::storage::book(rng.pick(crate::palette::BOOKS), t, d, h);
+        let b = crate::furniture::storage::book(false, rng.pick(crate::palette::BOOKS), t, d, h);
         m.add(b.at(0.0, -d / 2.0, -h / 2.0).rolled(90.0).turned(rng.around(20.0)).at(
             0.0,
             0.0,
@@ -644,13 +641,13 @@ pub fn book_pile(count: usize, mut rng: Rng) -> Mesh {
 /// A radiator with ribs, to hang on a wall under a window; it stands 0.12 above the floor.
 pub fn radiator(width: f64) -> Mesh {
     let mut m = Mesh::new();
-    let n = (width / 0.07) as usize;
+    let n = (width / 0.14) as usize;
     for k in 0..n {
         let x = -width / 2.0 + width * (k as f64 + 0.5) / n as f64;
         m.add(rounded(
             "lacquer.white",
-            v(x - 0.026, -0.045, 0.1),
-            v(x + 0.026, 0.03, 0.68),
+            v(x - 0.062, -0.045, 0.1),
+            v(x + 0.062, 0.03, 0.68),
             0.02,
             1,
         ));
@@ -660,14 +657,14 @@ pub fn radiator(width: f64) -> Mesh {
             "lacquer.white",
             &[v(-width / 2.0 - 0.015, -0.008, z), v(width / 2.0 + 0.015, -0.008, z)],
             0.016,
-            6,
+            5,
         ));
     }
     m.add(tube(
         "metal.chrome",
         &[v(width / 2.0 - 0.03, -0.02, 0.0), v(width / 2.0 - 0.03, -0.02, 0.105)],
         0.009,
-        6,
+        5,
     ));
     for s in [-1.0, 1.0] {
         m.add(block("metal.steel", 0.02, 0.03, 0.1).at(s * width * 0.3, 0.047, 0.5));
@@ -677,8 +674,8 @@ pub fn radiator(width: f64) -> Mesh {
 
 /// One curtain that hangs from z = 0 down to `-drop`, gathered in `folds`.
 fn drape(paint: Paint, width: f64, drop: f64, folds: f64, phase: f64) -> Mesh {
-    let nu = (folds * 7.0) as usize;
-    plate(paint, (nu, 3), 0.0022, |a, b| {
+    let nu = (folds * 5.0) as usize;
+    plate(paint, (nu, 2), 0.0022, |a, b| {
         let wave = libm::sin(TAU * folds * a + phase);
         let deep = 0.02 + 0.016 * (1.0 - b);
         v(
@@ -694,7 +691,7 @@ fn drape(paint: Paint, width: f64, drop: f64, folds: f64, phase: f64) -> Mesh {
 pub fn curtains(paint: Paint, width: f64, drop: f64, mut rng: Rng) -> Mesh {
     let half = width / 2.0 + 0.22;
     let mut m =
-        tube("metal.dark", &[v(-half - 0.06, 0.04, 0.0), v(half + 0.06, 0.04, 0.0)], 0.013, 7);
+        tube("metal.dark", &[v(-half - 0.06, 0.04, 0.0), v(half + 0.06, 0.04, 0.0)], 0.013, 5);
     for s in [-1.0, 1.0] {
         m.add(ball("metal.dark", 0.026, 8).at((half + 0.08) * s, 0.04, 0.0));
         m.add(tube(
@@ -708,13 +705,6 @@ pub fn curtains(paint: Paint, width: f64, drop: f64, mut rng: Rng) -> Mesh {
             0.04,
             -0.015,
         ));
-        for k in 0..6 {
-            m.add(ring("metal.dark", 0.018, 0.0025, 8, 4).rolled(90.0).at(
-                (half - 0.29 + 0.06 * f64::from(k)) * s,
-                0.04,
-                -0.004,
-            ));
-        }
     }
     m
 }
@@ -723,19 +713,19 @@ pub fn curtains(paint: Paint, width: f64, drop: f64, mut rng: Rng) -> Mesh {
 pub fn whiteboard(width: f64, height: f64) -> Mesh {
     let (w, h) = (width / 2.0, height / 2.0);
     let mut m = all([
-        rounded("metal.steel", v(-w, -0.02, -h), v(w, 0.0, h), 0.006, 2),
+        rounded("metal.steel", v(-w, -0.02, -h), v(w, 0.0, h), 0.006, 1),
         cuboid("lacquer.white", v(-w + 0.02, -0.0222, -h + 0.02), v(w - 0.02, -0.0203, h - 0.02)),
         rounded(
             "metal.steel",
             v(-w * 0.6, -0.08, -h - 0.03),
             v(w * 0.6, -0.001, -h - 0.005),
             0.006,
-            2,
+            1,
         ),
     ]);
     let line = |paint: Paint, from: f64, to: f64, f: &dyn Fn(f64) -> f64| {
-        let path: Vec<_> = (0..=28)
-            .map(|i| from + (to - from) * f64::from(i) / 28.0)
+        let path: Vec<_> = (0..=12)
+            .map(|i| from + (to - from) * f64::from(i) / 12.0)
             .map(|x| v(x, -0.0235, f(x)))
             .collect();
         tube(paint, &path, 0.0045, 5)
@@ -749,7 +739,7 @@ pub fn whiteboard(width: f64, height: f64) -> Mesh {
     m.add(line("plastic.black", w * 0.08, w * 0.85, &|_| -0.25));
     for (k, p) in ["lacquer.blue", "lacquer.red", "lacquer.green"].into_iter().enumerate() {
         let x = -0.2 + 0.17 * k as f64;
-        m.add(tube(p, &[v(x, -0.05, -h + 0.004), v(x + 0.12, -0.045, -h + 0.004)], 0.008, 6));
+        m.add(tube(p, &[v(x, -0.05, -h + 0.004), v(x + 0.12, -0.045, -h + 0.004)], 0.008, 5));
     }
     m
 }
@@ -767,11 +757,11 @@ pub fn clock(rim: Paint) -> Mesh {
             (0.14, 0.026),
             (0.0, 0.026),
         ],
-        29,
+        19,
     )
     .tipped(90.0);
     m.add(
-        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 24)
+        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 15)
             .tipped(90.0),
     );
     for k in 0..12 {
@@ -801,9 +791,9 @@ pub fn globe() -> Mesh {
             (0.024, 0.09),
             (0.0, 0.095),
         ],
-        17,
+        11,
     );
-    let mut sphere = ball("book.blue", 0.14, 19);
+    let mut sphere = ball("book.blue", 0.14, 12);
     for t in &mut sphere.triangles {
         let p =
             t.corners.iter().map(|&c| sphere.points[c as usize]).sum::<glam::DVec3>() / 3.0 / 0.14;
@@ -821,7 +811,7 @@ pub fn globe() -> Mesh {
             v(0.165 * c, 0.0, 0.25 + 0.165 * s)
         })
         .collect();
-    m.add(tube("metal.brass", &arc, 0.007, 6));
+    m.add(tube("metal.brass", &arc, 0.007, 5));
     m
 }
 
@@ -839,7 +829,7 @@ pub fn basket(paint: Paint) -> Mesh {
             (0.112, 0.012),
             (0.0, 0.01),
         ],
-        22,
+        14,
     )
 }
 
@@ -857,14 +847,14 @@ pub fn coat_stand(mut rng: Rng) -> Mesh {
             (0.03, 1.74),
             (0.0, 1.78),
         ],
-        17,
+        11,
     );
     for k in 0..6 {
         let hook = curve(
             &[v(0.015, 0.0, 1.58), v(0.08, 0.0, 1.6), v(0.13, 0.0, 1.66), v(0.13, 0.0, 1.7)],
-            4,
+            2,
         );
-        m.add(rod("wood.walnut", &hook, |t| 0.012 - 0.004 * t, 6).turned(60.0 * f64::from(k)));
+        m.add(rod("wood.walnut", &hook, |t| 0.012 - 0.004 * t, 5).turned(60.0 * f64::from(k)));
     }
     for (k, paint) in ["fabric.navy", "fabric.mustard"].into_iter().enumerate() {
         let (a, turn) = (rng.range(0.0, TAU), 60.0 + 180.0 * k as f64);
@@ -883,27 +873,27 @@ pub fn coat_stand(mut rng: Rng) -> Mesh {
 pub fn television(width: f64) -> Mesh {
     let (w, h) = (width / 2.0, width * 0.565);
     all([
-        rounded("plastic.black", v(-w, -0.02, 0.06), v(w, 0.025, 0.06 + h), 0.006, 2),
+        rounded("plastic.black", v(-w, -0.02, 0.06), v(w, 0.025, 0.06 + h), 0.006, 1),
         cuboid("screen", v(-w + 0.012, -0.0222, 0.075), v(w - 0.012, -0.0205, 0.045 + h)),
-        rounded("plastic.black", v(-0.2, -0.11, 0.0), v(0.2, 0.1, 0.014), 0.005, 2),
-        soft("plastic.black", 0.09, 0.03, 0.06, 0.006, 2).at(0.0, 0.005, 0.0135),
+        rounded("plastic.black", v(-0.2, -0.11, 0.0), v(0.2, 0.1, 0.014), 0.005, 1),
+        soft("plastic.black", 0.09, 0.03, 0.06, 0.006, 1).at(0.0, 0.005, 0.0135),
     ])
 }
 
 /// A fireplace surround with logs, for a wall.
 pub fn fireplace() -> Mesh {
     let mut m = all([
-        rounded("stone.white", v(-0.75, -0.14, 0.0), v(-0.47, 0.0, 1.02), 0.012, 3),
-        rounded("stone.white", v(0.47, -0.14, 0.0), v(0.75, 0.0, 1.02), 0.012, 3),
-        rounded("stone.white", v(-0.469, -0.14, 0.78), v(0.469, 0.0, 1.02), 0.012, 3),
-        rounded("stone.white", v(-0.84, -0.2, 1.021), v(0.84, 0.0, 1.075), 0.016, 4),
-        rounded("stone.dark", v(-0.7, -0.5, 0.0), v(0.7, -0.141, 0.03), 0.008, 2),
+        rounded("stone.white", v(-0.75, -0.14, 0.0), v(-0.47, 0.0, 1.02), 0.012, 1),
+        rounded("stone.white", v(0.47, -0.14, 0.0), v(0.75, 0.0, 1.02), 0.012, 1),
+        rounded("stone.white", v(-0.469, -0.14, 0.78), v(0.469, 0.0, 1.02), 0.012, 1),
+        rounded("stone.white", v(-0.84, -0.2, 1.021), v(0.84, 0.0, 1.075), 0.016, 2),
+        rounded("stone.dark", v(-0.7, -0.5, 0.0), v(0.7, -0.141, 0.03), 0.008, 1),
         cuboid("stone.dark", v(-0.469, -0.02, 0.0), v(0.469, -0.001, 0.779)),
-        rounded("metal.dark", v(-0.36, -0.13, 0.1), v(0.36, -0.11, 0.12), 0.005, 2),
+        rounded("metal.dark", v(-0.36, -0.13, 0.1), v(0.36, -0.11, 0.12), 0.005, 1),
     ]);
     for s in [-1.0, 1.0] {
-        m.add(tube("metal.dark", &[v(0.25 * s, -0.12, 0.0), v(0.25 * s, -0.12, 0.24)], 0.012, 6));
-        m.add(rounded("stone.white", v(-0.1, -0.02, 0.16), v(0.1, 0.0, 0.72), 0.006, 3).at(
+        m.add(tube("metal.dark", &[v(0.25 * s, -0.12, 0.0), v(0.25 * s, -0.12, 0.24)], 0.012, 5));
+        m.add(rounded("stone.white", v(-0.1, -0.02, 0.16), v(0.1, 0.0, 0.72), 0.006, 1).at(
             0.61 * s,
             -0.141,
             0.0,
@@ -911,7 +901,7 @@ pub fn fireplace() -> Mesh {
     }
     for (k, (y, z)) in [(-0.06, 0.09), (-0.09, 0.17), (-0.055, 0.25)].into_iter().enumerate() {
         let t = 0.05 * (k as f64 - 1.0);
-        m.add(tube("bark", &[v(-0.28, y, z + t * 0.3), v(0.28, y + 0.01, z - t * 0.3)], 0.042, 8));
+        m.add(tube("bark", &[v(-0.28, y, z + t * 0.3), v(0.28, y + 0.01, z - t * 0.3)], 0.042, 6));
     }
     m
 }
@@ -930,16 +920,16 @@ pub fn toys(mut rng: Rng) -> Mesh {
     for k in 0..14 {
         let (x, y) = (rng.around(0.4), rng.around(0.3));
         let turn = rng.range(0.0, 90.0);
-        m.add(soft(paints[k % 6], 0.07, 0.07, 0.07, 0.008, 2).turned(turn).at(x, y, 0.0));
+        m.add(soft(paints[k % 6], 0.07, 0.07, 0.07, 0.008, 1).turned(turn).at(x, y, 0.0));
     }
     for k in 0..5 {
         let z = 0.02 + 0.045 * f64::from(k);
         m.add(
-            ring(paints[k as usize], 0.085 - 0.013 * f64::from(k), 0.022, 28, 12).at(0.55, 0.1, z),
+            ring(paints[k as usize], 0.085 - 0.013 * f64::from(k), 0.022, 18, 8).at(0.55, 0.1, z),
         );
     }
     m.add(cylinder("wood.birch", 0.012, 0.27, 8).at(0.55, 0.1, 0.0));
-    m.add(ball("lacquer.red", 0.11, 17).at(-0.55, 0.2, 0.11));
+    m.add(ball("lacquer.red", 0.11, 11).at(-0.55, 0.2, 0.11));
     m
 }
 
@@ -955,24 +945,24 @@ pub fn rocking_horse() -> Mesh {
                 v(0.13 * s, 0.25, 0.03),
                 v(0.13 * s, 0.5, 0.14),
             ],
-            5,
+            3,
         );
-        m.add(rod("lacquer.red", &runner, |_| 0.016, 6));
+        m.add(rod("lacquer.red", &runner, |_| 0.016, 5));
         for y in [-0.22, 0.22] {
             m.add(rod(
                 "wood.birch",
                 &[v(0.13 * s, y * 1.15, 0.045), v(0.08 * s, y, 0.42)],
                 |t| 0.018 + 0.014 * t,
-                7,
+                5,
             ));
         }
     }
-    m.add(ball("wood.birch", 0.14, 16).scaled(0.85, 2.2, 0.95).at(0.0, 0.0, 0.48));
-    let neck = curve(&[v(0.0, -0.2, 0.5), v(0.0, -0.32, 0.68), v(0.0, -0.36, 0.82)], 5);
-    m.add(rod("wood.birch", &neck, |t| 0.085 - 0.03 * t, 10));
-    m.add(ball("wood.birch", 0.07, 12).scaled(0.8, 1.7, 0.9).tipped(28.0).at(0.0, -0.42, 0.81));
-    m.add(tube("lacquer.red", &[v(-0.15, -0.36, 0.72), v(0.15, -0.36, 0.72)], 0.012, 6));
-    m.add(soft("leather.brown", 0.2, 0.26, 0.05, 0.02, 3).at(0.0, 0.02, 0.6));
+    m.add(ball("wood.birch", 0.14, 10).scaled(0.85, 2.2, 0.95).at(0.0, 0.0, 0.48));
+    let neck = curve(&[v(0.0, -0.2, 0.5), v(0.0, -0.32, 0.68), v(0.0, -0.36, 0.82)], 3);
+    m.add(rod("wood.birch", &neck, |t| 0.085 - 0.03 * t, 8));
+    m.add(ball("wood.birch", 0.07, 8).scaled(0.8, 1.7, 0.9).tipped(28.0).at(0.0, -0.42, 0.81));
+    m.add(tube("lacquer.red", &[v(-0.15, -0.36, 0.72), v(0.15, -0.36, 0.72)], 0.012, 5));
+    m.add(soft("leather.brown", 0.2, 0.26, 0.05, 0.02, 1).at(0.0, 0.02, 0.6));
     for k in 0..7 {
         let t = f64::from(k) / 6.0;
         m.add(tube(
@@ -990,14 +980,14 @@ pub fn rocking_horse() -> Mesh {
 
 /// A projector that hangs from a ceiling at z = 0.
 pub fn projector() -> Mesh {
-    let mut m = cylinder("lacquer.white", 0.06, 0.02, 14).at(0.0, 0.0, -0.022);
-    m.add(tube("lacquer.white", &[v(0.0, 0.0, -0.021), v(0.0, 0.0, -0.3)], 0.016, 7));
-    m.add(rounded("lacquer.white", v(-0.17, -0.14, -0.41), v(0.17, 0.14, -0.3), 0.025, 4));
+    let mut m = cylinder("lacquer.white", 0.06, 0.02, 10).at(0.0, 0.0, -0.022);
+    m.add(tube("lacquer.white", &[v(0.0, 0.0, -0.021), v(0.0, 0.0, -0.3)], 0.016, 5));
+    m.add(rounded("lacquer.white", v(-0.17, -0.14, -0.41), v(0.17, 0.14, -0.3), 0.025, 2));
     m.add(
         lathe(
             "plastic.black",
             &[(0.0, 0.0), (0.04, 0.0), (0.042, 0.03), (0.034, 0.034), (0.03, 0.02), (0.0, 0.014)],
-            14,
+            8,
         )
         .tipped(90.0)
         .at(0.08, -0.138, -0.355),
@@ -1007,7 +997,7 @@ pub fn projector() -> Mesh {
 
 /// A bottle and glasses on a tray.
 pub fn carafe() -> Mesh {
-    let mut m = top("metal.steel", &superellipse(0.19, 0.13, 4.0, 40), 0.0, 0.012);
+    let mut m = top("metal.steel", &superellipse(0.19, 0.13, 4.0, 20), 0.0, 0.012);
     m.add(
         lathe(
             "ceramic.green",
@@ -1022,7 +1012,7 @@ pub fn carafe() -> Mesh {
                 (0.016, 0.262),
                 (0.0, 0.24),
             ],
-            17,
+            11,
         )
         .at(-0.09, 0.02, 0.0125),
     );
@@ -1038,7 +1028,7 @@ pub fn carafe() -> Mesh {
                     (0.025, 0.008),
                     (0.0, 0.007),
                 ],
-                12,
+                8,
             )
             .at(x, y, 0.0125),
         );

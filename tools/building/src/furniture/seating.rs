@@ -9,8 +9,8 @@ use std::f64::consts::PI;
 
 /// A straight leg from `foot` to `head`, thinner below.
 fn leg(paint: Paint, foot: glam::DVec3, head: glam::DVec3, (low, high): (f64, f64)) -> Mesh {
-    let path: Vec<_> = (0..=5).map(|i| foot.lerp(head, f64::from(i) / 5.0)).collect();
-    rod(paint, &path, |s| low + (high - low) * s, 7)
+    let path: Vec<_> = (0..=2).map(|i| foot.lerp(head, f64::from(i) / 2.0)).collect();
+    rod(paint, &path, |s| low + (high - low) * s, 5)
 }
 
 /// A swivel chair on five castors, with arms.
@@ -19,34 +19,24 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
     for k in 0..5 {
         let turn = 72.0 * f64::from(k) + 18.0;
         let spoke = curve(&[v(0.03, 0.0, 0.12), v(0.16, 0.0, 0.105), v(0.3, 0.0, 0.075)], 3);
-        let mut arm = rod("plastic.black", &spoke, |s| 0.026 - 0.01 * s, 6);
-        for side in [-0.016, 0.016] {
-            arm.add(
-                lathe(
-                    "rubber",
-                    &[
-                        (0.0, -0.009),
-                        (0.022, -0.009),
-                        (0.028, -0.004),
-                        (0.028, 0.004),
-                        (0.022, 0.009),
-                        (0.0, 0.009),
-                    ],
-                    8,
-                )
-                .tipped(90.0)
-                .at(0.3, side, 0.028),
-            );
-        }
-        arm.add(tube("metal.chrome", &[v(0.3, 0.0, 0.03), v(0.3, 0.0, 0.07)], 0.007, 5));
+        let mut arm = rod("plastic.black", &spoke, |s| 0.026 - 0.01 * s, 5);
+        let castor = [
+            (0.0, -0.02),
+            (0.024, -0.02),
+            (0.028, -0.012),
+            (0.028, 0.012),
+            (0.024, 0.02),
+            (0.0, 0.02),
+        ];
+        arm.add(lathe("rubber", &castor, 8).tipped(90.0).at(0.3, 0.0, 0.028));
         m.add(arm.turned(turn));
     }
-    m.add(cylinder("plastic.black", 0.034, 0.16, 11).at(0.0, 0.0, 0.09));
-    m.add(cylinder("metal.chrome", 0.016, 0.2, 11).at(0.0, 0.0, 0.24));
-    m.add(soft("plastic.black", 0.22, 0.2, 0.035, 0.012, 2).at(0.0, 0.01, 0.42));
+    m.add(cylinder("plastic.black", 0.034, 0.16, 8).at(0.0, 0.0, 0.09));
+    m.add(cylinder("metal.chrome", 0.016, 0.2, 8).at(0.0, 0.0, 0.24));
+    m.add(soft("plastic.black", 0.22, 0.2, 0.035, 0.012, 1).at(0.0, 0.01, 0.42));
     // The seat dips a little and rolls off at the front.
     m.add(
-        cushion(cloth, v(0.49, 0.47, 0.075), 0.034, 0.006, 2, 3)
+        cushion(cloth, v(0.49, 0.47, 0.075), 0.034, 0.006, 1, 4)
             .map(|p| {
                 let front = (-p.y - 0.12).max(0.0);
                 v(p.x, p.y, p.z - front * front * 1.6 + p.x * p.x * 0.25)
@@ -54,7 +44,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
             .at(0.0, -0.01, 0.45),
     );
     // The back curves around the sitter and leans.
-    let back = cushion(cloth, v(0.45, 0.055, 0.5), 0.026, 0.004, 2, 4).map(|p| {
+    let back = cushion(cloth, v(0.45, 0.055, 0.5), 0.026, 0.004, 1, 5).map(|p| {
         let s = (p.z / 0.5 - 0.35) * PI;
         v(
             p.x * (1.0 - 0.12 * (p.z / 0.5 - 0.4).raised(2)),
@@ -67,7 +57,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
         &[v(0.0, 0.1, 0.435), v(0.0, 0.25, 0.44), v(0.0, 0.31, 0.56), v(0.0, 0.325, 0.74)],
         4,
     );
-    m.add(rod("plastic.black", &spine, |_| 0.019, 6));
+    m.add(rod("plastic.black", &spine, |_| 0.019, 5));
     if arms {
         for s in [-1.0, 1.0] {
             let post = curve(
@@ -79,7 +69,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
                 ],
                 4,
             );
-            m.add(rod("plastic.black", &post, |_| 0.015, 6));
+            m.add(rod("plastic.black", &post, |_| 0.015, 5));
             m.add(
                 rounded("plastic.black", v(-0.035, -0.13, 0.0), v(0.035, 0.12, 0.028), 0.012, 3)
                     .at(0.285 * s, 0.0, 0.652),
@@ -91,7 +81,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
 
 /// A moulded shell on four wooden legs.
 pub fn shell_chair(shell: Paint, wood: Paint) -> Mesh {
-    let seat = plate(shell, (10, 14), 0.009, |a, b| {
+    let seat = plate(shell, (8, 12), 0.009, |a, b| {
         // b runs from the front edge over the seat and up the back; a from left to right.
         let side = 2.0 * a - 1.0;
         let (y, z) = if b < 0.5 {
@@ -144,17 +134,17 @@ pub fn slat_chair(wood: Paint, cloth: Paint) -> Mesh {
                 v(0.18 * s, 0.215, 0.66),
                 v(0.175 * s, 0.27, 0.93),
             ],
-            5,
+            3,
         );
-        m.add(rod(wood, &post, |t| 0.015 + 0.005 * libm::sin(t * PI), 7));
-        m.add(tube(wood, &[v(0.185 * s, -0.18, 0.2), v(0.18 * s, 0.205, 0.2)], 0.009, 6));
-        m.add(soft(wood, 0.022, 0.34, 0.055, 0.006, 2).at(0.185 * s, 0.005, 0.385));
+        m.add(rod(wood, &post, |t| 0.015 + 0.005 * libm::sin(t * PI), 5));
+        m.add(tube(wood, &[v(0.185 * s, -0.18, 0.2), v(0.18 * s, 0.205, 0.2)], 0.009, 5));
+        m.add(soft(wood, 0.022, 0.34, 0.055, 0.006, 1).at(0.185 * s, 0.005, 0.385));
     }
-    m.add(tube(wood, &[v(-0.18, 0.01, 0.2), v(0.18, 0.01, 0.2)], 0.009, 6));
+    m.add(tube(wood, &[v(-0.18, 0.01, 0.2), v(0.18, 0.01, 0.2)], 0.009, 5));
     for y in [-0.185, 0.19] {
-        m.add(soft(wood, 0.34, 0.022, 0.055, 0.006, 2).at(0.0, y, 0.385));
+        m.add(soft(wood, 0.34, 0.022, 0.055, 0.006, 1).at(0.0, y, 0.385));
     }
-    m.add(cushion(cloth, v(0.42, 0.42, 0.05), 0.022, 0.012, 2, 3).at(0.0, -0.01, 0.435));
+    m.add(cushion(cloth, v(0.42, 0.42, 0.05), 0.022, 0.012, 1, 4).at(0.0, -0.01, 0.435));
     for (k, z) in [0.58, 0.7, 0.82].into_iter().enumerate() {
         let h = if k == 2 { 0.09 } else { 0.055 };
         m.add(plate(wood, (6, 1), 0.014, |a, b| {
@@ -181,7 +171,7 @@ pub fn stool(wood: Paint, cloth: Paint, height: f64) -> Mesh {
             (0.08, 0.06),
             (0.0, 0.062),
         ],
-        17,
+        13,
     )
     .at(0.0, 0.0, height - 0.062);
     for k in 0..4 {
@@ -202,9 +192,9 @@ pub fn stool(wood: Paint, cloth: Paint, height: f64) -> Mesh {
 pub fn armchair(cloth: Paint, wood: Paint) -> Mesh {
     let mut m = Mesh::new();
     m.add(rounded(cloth, v(-0.36, -0.34, 0.16), v(0.36, 0.34, 0.3), 0.04, 3));
-    m.add(cushion(cloth, v(0.54, 0.6, 0.16), 0.055, 0.025, 2, 3).at(0.0, -0.06, 0.29));
+    m.add(cushion(cloth, v(0.54, 0.6, 0.16), 0.055, 0.025, 1, 4).at(0.0, -0.06, 0.29));
     m.add(
-        cushion(cloth, v(0.54, 0.17, 0.52), 0.06, 0.03, 2, 3)
+        cushion(cloth, v(0.54, 0.17, 0.52), 0.06, 0.03, 1, 4)
             .map(|p| v(p.x, p.y - 0.05 * (p.x / 0.27).raised(2), p.z))
             .tipped(-12.0)
             .at(0.0, 0.225, 0.36),
@@ -239,7 +229,7 @@ pub fn lounge_chair(leather: Paint, wood: Paint) -> Mesh {
             ],
             5,
         );
-        m.add(rod(wood, &runner, |_| 0.017, 7));
+        m.add(rod(wood, &runner, |_| 0.017, 5));
         let arm = curve(
             &[
                 v(0.3 * s, -0.36, 0.5),
@@ -249,16 +239,16 @@ pub fn lounge_chair(leather: Paint, wood: Paint) -> Mesh {
             ],
             5,
         );
-        m.add(rod(wood, &arm, |t| 0.017 + 0.012 * libm::sin(t * PI), 7));
-        m.add(tube(wood, &[v(0.3 * s, 0.1, 0.5), v(0.29 * s, 0.16, 0.02)], 0.015, 7));
+        m.add(rod(wood, &arm, |t| 0.017 + 0.012 * libm::sin(t * PI), 5));
+        m.add(tube(wood, &[v(0.3 * s, 0.1, 0.5), v(0.29 * s, 0.16, 0.02)], 0.015, 5));
     }
     for y in [-0.3, 0.2] {
-        m.add(tube(wood, &[v(-0.3, y, 0.29), v(0.3, y, 0.29)], 0.013, 7));
+        m.add(tube(wood, &[v(-0.3, y, 0.29), v(0.3, y, 0.29)], 0.013, 5));
     }
     let pad = |m: Mesh, tip: f64, y: f64, z: f64| m.tipped(tip).at(0.0, y, z);
-    m.add(pad(cushion(leather, v(0.52, 0.56, 0.1), 0.042, 0.018, 2, 3), -9.0, -0.03, 0.3));
-    m.add(pad(cushion(leather, v(0.52, 0.11, 0.6), 0.045, 0.02, 2, 4), -24.0, 0.26, 0.36));
-    m.add(pad(cushion(leather, v(0.4, 0.09, 0.17), 0.04, 0.012, 2, 2), -24.0, 0.37, 0.8));
+    m.add(pad(cushion(leather, v(0.52, 0.56, 0.1), 0.042, 0.018, 1, 4), -9.0, -0.03, 0.3));
+    m.add(pad(cushion(leather, v(0.52, 0.11, 0.6), 0.045, 0.02, 1, 5), -24.0, 0.26, 0.36));
+    m.add(pad(cushion(leather, v(0.4, 0.09, 0.17), 0.04, 0.012, 1, 3), -24.0, 0.37, 0.8));
     m
 }
 
@@ -290,15 +280,15 @@ pub fn sofa(cloth: Paint, pillows: [Paint; 2], seats: usize) -> Mesh {
     }
     for k in 0..seats {
         let x = -half + each * (k as f64 + 0.5);
-        m.add(cushion(cloth, v(each - 0.008, 0.66, 0.17), 0.05, 0.022, 2, 3).at(x, -0.1, 0.28));
+        m.add(cushion(cloth, v(each - 0.008, 0.66, 0.17), 0.05, 0.022, 1, 4).at(x, -0.1, 0.28));
         m.add(
-            cushion(cloth, v(each - 0.02, 0.19, 0.44), 0.07, 0.035, 2, 3)
+            cushion(cloth, v(each - 0.02, 0.19, 0.44), 0.07, 0.035, 1, 4)
                 .tipped(-13.0)
                 .at(x, 0.16, 0.44),
         );
     }
     for (k, s) in [-1.0, 1.0].into_iter().enumerate() {
-        let pillow = cushion(pillows[k], v(0.42, 0.1, 0.42), 0.045, 0.055, 2, 3);
+        let pillow = cushion(pillows[k], v(0.42, 0.1, 0.42), 0.045, 0.055, 1, 4);
         m.add(pillow.tipped(-24.0).rolled(9.0 * s).turned(-14.0 * s).at(
             (half - 0.24) * s,
             -0.03,
@@ -310,8 +300,8 @@ pub fn sofa(cloth: Paint, pillows: [Paint; 2], seats: usize) -> Mesh {
 
 /// An upholstered bench, its long side to the front.
 pub fn bench(cloth: Paint, wood: Paint, width: f64) -> Mesh {
-    let mut m = cushion(cloth, v(width, 0.42, 0.09), 0.035, 0.012, 2, 4).at(0.0, 0.0, 0.37);
-    m.add(soft(wood, width - 0.06, 0.36, 0.04, 0.008, 2).at(0.0, 0.0, 0.335));
+    let mut m = cushion(cloth, v(width, 0.42, 0.09), 0.035, 0.012, 1, 5).at(0.0, 0.0, 0.37);
+    m.add(soft(wood, width - 0.06, 0.36, 0.04, 0.008, 1).at(0.0, 0.0, 0.335));
     for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
         let x = (width / 2.0 - 0.12) * sx;
         m.add(leg(wood, v(x + 0.03 * sx, 0.15 * sy, 0.0), v(x, 0.13 * sy, 0.34), (0.012, 0.02)));
@@ -327,7 +317,7 @@ pub fn pouf(cloth: Paint) -> Mesh {
         profile.push((0.19 + 0.09 * s, 0.19 - 0.19 * c));
     }
     profile.push((0.0, 0.385));
-    let mut m = lathe(cloth, &profile, 29).map(|p| {
+    let mut m = lathe(cloth, &profile, 22).map(|p| {
         let a = libm::atan2(p.y, p.x);
         let f = 1.0 + 0.018 * libm::cos(a * 12.0);
         v(p.x * f, p.y * f, p.z)
@@ -342,7 +332,7 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
     let mut m = Mesh::new();
     // Frame, feet and headboard.
     for s in [-1.0, 1.0] {
-        m.add(rounded(wood, v(-0.015, -l, 0.16), v(0.015, l, 0.34), 0.006, 2).at(
+        m.add(rounded(wood, v(-0.015, -l, 0.16), v(0.015, l, 0.34), 0.006, 1).at(
             (w + 0.016) * s,
             0.0,
             0.0,
@@ -351,7 +341,7 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
             m.add(leg(wood, v((w - 0.03) * s, y, 0.0), v((w - 0.03) * s, y, 0.18), (0.022, 0.03)));
         }
     }
-    m.add(rounded(wood, v(-w - 0.03, -l - 0.03, 0.16), v(w + 0.03, -l, 0.36), 0.008, 2));
+    m.add(rounded(wood, v(-w - 0.03, -l - 0.03, 0.16), v(w + 0.03, -l, 0.36), 0.008, 1));
     m.add(rounded(wood, v(-w - 0.05, l, 0.12), v(w + 0.05, l + 0.05, 1.0), 0.018, 3));
     m.add(rounded(
         "fabric.cream",
@@ -363,7 +353,7 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
     m.add(rounded("fabric.white", v(-w, -l + 0.005, 0.2), v(w, l - 0.035, 0.44), 0.05, 3));
     // The duvet falls over three sides in soft folds, and is turned back below the pillows.
     let waves = [rng.range(0.0, 6.0), rng.range(0.0, 6.0), rng.range(0.0, 6.0)];
-    let (nu, nv) = (24, 20);
+    let (nu, nv) = (20, 16);
     m.add(plate(cover, (nu, nv), 0.03, |a, b| {
         let x = (a - 0.5) * (2.0 * w + 0.5);
         let y = -l - 0.06 + b * 1.5;
@@ -385,11 +375,11 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
             v((width / f64::from(count) - 0.12).min(0.7), 0.4, 0.12),
             0.055,
             0.06,
-            2,
-            4,
+            1,
+            5,
         );
         m.add(p.tipped(20.0).turned(rng.around(5.0)).at(x + rng.around(0.02), l - 0.27, 0.46));
-        let q = cushion(cover, v(0.44, 0.34, 0.1), 0.045, 0.05, 2, 3);
+        let q = cushion(cover, v(0.44, 0.34, 0.1), 0.045, 0.05, 1, 4);
         m.add(q.tipped(48.0).turned(rng.around(8.0)).at(x + rng.around(0.03), l - 0.42, 0.53));
     }
     m
@@ -400,27 +390,27 @@ pub fn cot(wood: Paint, cover: Paint) -> Mesh {
     let (w, l) = (0.36, 0.66);
     let mut m = Mesh::new();
     for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
-        m.add(soft(wood, 0.045, 0.045, 0.95, 0.01, 2).at(w * sx, l * sy, 0.0));
+        m.add(soft(wood, 0.045, 0.045, 0.95, 0.01, 1).at(w * sx, l * sy, 0.0));
         m.add(ball(wood, 0.03, 8).at(w * sx, l * sy, 0.965));
     }
     for s in [-1.0, 1.0] {
         for z in [0.3, 0.88] {
             m.add(
-                rounded(wood, v(-0.012, -l + 0.023, z), v(0.012, l - 0.023, z + 0.04), 0.006, 2)
+                rounded(wood, v(-0.012, -l + 0.023, z), v(0.012, l - 0.023, z + 0.04), 0.006, 1)
                     .at(w * s, 0.0, 0.0),
             );
             m.add(
-                rounded(wood, v(-w + 0.023, -0.012, z), v(w - 0.023, 0.012, z + 0.04), 0.006, 2)
+                rounded(wood, v(-w + 0.023, -0.012, z), v(w - 0.023, 0.012, z + 0.04), 0.006, 1)
                     .at(0.0, l * s, 0.0),
             );
         }
         for k in 0..11 {
             let y = -l + 2.0 * l * (f64::from(k) + 1.0) / 12.0;
-            m.add(tube(wood, &[v(w * s, y, 0.33), v(w * s, y, 0.885)], 0.009, 6));
+            m.add(tube(wood, &[v(w * s, y, 0.33), v(w * s, y, 0.885)], 0.009, 5));
         }
         for k in 0..5 {
             let x = -w + 2.0 * w * (f64::from(k) + 1.0) / 6.0;
-            m.add(tube(wood, &[v(x, l * s, 0.33), v(x, l * s, 0.885)], 0.009, 6));
+            m.add(tube(wood, &[v(x, l * s, 0.33), v(x, l * s, 0.885)], 0.009, 5));
         }
     }
     m.add(rounded(
@@ -430,15 +420,15 @@ pub fn cot(wood: Paint, cover: Paint) -> Mesh {
         0.03,
         3,
     ));
-    m.add(cushion(cover, v(0.6, 0.8, 0.05), 0.022, 0.025, 2, 4).at(0.0, -0.18, 0.46));
-    m.add(cushion("fabric.cream", v(0.4, 0.26, 0.07), 0.03, 0.03, 2, 3).at(0.0, 0.45, 0.46));
+    m.add(cushion(cover, v(0.6, 0.8, 0.05), 0.022, 0.025, 1, 5).at(0.0, -0.18, 0.46));
+    m.add(cushion("fabric.cream", v(0.4, 0.26, 0.07), 0.03, 0.03, 1, 4).at(0.0, 0.45, 0.46));
     m
 }
 
 /// A soft bear that sits.
 pub fn bear(cloth: Paint) -> Mesh {
     let blob = |r: f64, x: f64, y: f64, z: f64, s: [f64; 3]| {
-        ball(cloth, r, 12).scaled(s[0], s[1], s[2]).at(x, y, z)
+        ball(cloth, r, 9).scaled(s[0], s[1], s[2]).at(x, y, z)
     };
     let mut m = all([
         blob(0.11, 0.0, 0.0, 0.12, [1.0, 0.9, 1.1]),

@@ -8,8 +8,8 @@ use crate::palette::BOOKS;
 use crate::rng::Rng;
 
 /// A book standing with its spine to -y: thickness, depth, height. A cover around a block of
-/// pages that is set back on three sides.
-pub fn book(cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
+/// pages that is set back on three sides; on a shelf only the top of the pages is made.
+pub fn book(shelved: bool, cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
     let (e, b) = (t / 2.0, 0.0024_f64.min(t * 0.12));
     let mut m = Mesh::new();
     // A U in plan: around the outside, then back along the inside. The spine is a little round.
@@ -42,11 +42,14 @@ pub fn book(cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
         m.triangle(a, c, b, cover);
         m.triangle(a + 10, b + 10, c + 10, cover);
     }
-    m.add(cuboid(
-        "paper",
-        v(-e + b + 0.0001, 0.0042, 0.003),
-        v(e - b - 0.0001, d - 0.004, h - 0.004),
-    ));
+    let (low, high) = (v(-e + b + 0.0001, 0.0042, 0.003), v(e - b - 0.0001, d - 0.004, h - 0.004));
+    if shelved {
+        m.add(sheet("paper", (1, 1), (false, false), |a, b| {
+            v(low.x + (high.x - low.x) * a, low.y + (high.y - low.y) * b, high.z)
+        }));
+    } else {
+        m.add(cuboid("paper", low, high));
+    }
     m
 }
 
@@ -72,7 +75,7 @@ pub fn books(width: f64, height: f64, depth: f64, rng: &mut Rng) -> Mesh {
                 if z + t > height - 0.02 {
                     break;
                 }
-                let b = book(rng.pick(BOOKS), t, d, h).rolled(90.0).turned(rng.around(5.0));
+                let b = book(false, rng.pick(BOOKS), t, d, h).rolled(90.0).turned(rng.around(5.0));
                 m.add(b.at(x + 0.005, 0.012, z + t / 2.0 + 0.0005));
                 z += t;
             }
@@ -83,7 +86,7 @@ pub fn books(width: f64, height: f64, depth: f64, rng: &mut Rng) -> Mesh {
         let set = if rng.unit() < 0.16 { 3 + rng.below(5) } else { 1 };
         let paint = rng.pick(BOOKS);
         let (t, d, h) = (
-            rng.range(0.014, 0.048),
+            rng.range(0.02, 0.058),
             rng.range(0.14, (depth - 0.03).clamp(0.141, 0.21)),
             rng.range(0.62, 0.95) * height.min(0.33),
         );
@@ -92,7 +95,7 @@ pub fn books(width: f64, height: f64, depth: f64, rng: &mut Rng) -> Mesh {
                 break;
             }
             let y = 0.008 + rng.range(0.0, 0.014) + (depth - 0.03 - d).max(0.0) * 0.15;
-            let b = book(paint, t, d, h);
+            let b = book(true, paint, t, d, h);
             let lean = if set == 1 && rng.unit() < 0.07 && x + h * 0.2 + t < end {
                 rng.range(6.0, 11.0)
             } else {
@@ -154,7 +157,7 @@ pub fn bookcase(wood: Paint, width: f64, height: f64, shelves: usize, mut rng: R
                 let thing = match rng.below(3) {
                     0 => crate::furniture::decor::vase("ceramic.blue", 0.2),
                     1 => crate::furniture::decor::vase("ceramic.ochre", 0.16),
-                    _ => ball("wood.walnut", 0.06, 12).at(0.0, 0.0, 0.06),
+                    _ => ball("wood.walnut", 0.06, 8).at(0.0, 0.0, 0.06),
                 };
                 m.add(thing.at(x, -0.02, z + t + 0.001));
             }
@@ -165,7 +168,7 @@ pub fn bookcase(wood: Paint, width: f64, height: f64, shelves: usize, mut rng: R
         v(-w - 0.01, -h - 0.012, height + 0.0005),
         v(w + 0.01, h, height + 0.03),
         0.006,
-        2,
+        1,
     ));
     m
 }
@@ -173,8 +176,8 @@ pub fn bookcase(wood: Paint, width: f64, height: f64, shelves: usize, mut rng: R
 /// A low sideboard with doors and drawers.
 pub fn sideboard(body: Paint, front: Paint, width: f64) -> Mesh {
     let (w, d) = (width / 2.0, 0.22);
-    let mut m = rounded(body, v(-w, -d + 0.019, 0.14), v(w, d, 0.76), 0.006, 2);
-    m.add(rounded(body, v(-w - 0.012, -d - 0.01, 0.7605), v(w + 0.012, d, 0.785), 0.006, 2));
+    let mut m = rounded(body, v(-w, -d + 0.019, 0.14), v(w, d, 0.76), 0.006, 1);
+    m.add(rounded(body, v(-w - 0.012, -d - 0.01, 0.7605), v(w + 0.012, d, 0.785), 0.006, 1));
     let n = (width / 0.48).max(1.0) as usize;
     let step = (width - 0.02) / n as f64;
     for k in 0..n {
@@ -191,7 +194,7 @@ pub fn sideboard(body: Paint, front: Paint, width: f64) -> Mesh {
                 v(x - step / 2.0 + 0.003, -d, 0.152),
                 v(x + step / 2.0 - 0.003, -d + 0.018, 0.75),
                 0.004,
-                2,
+                1,
             ));
             let side = if k % 2 == 0 { 1.0 } else { -1.0 };
             m.add(ball("metal.brass", 0.013, 8).at(
@@ -219,28 +222,28 @@ pub fn sideboard(body: Paint, front: Paint, width: f64) -> Mesh {
 /// A wardrobe with panelled doors.
 pub fn wardrobe(paint: Paint, width: f64, height: f64) -> Mesh {
     let (w, d) = (width / 2.0, 0.29);
-    let mut m = rounded(paint, v(-w, -d + 0.021, 0.07), v(w, d, height), 0.006, 2);
+    let mut m = rounded(paint, v(-w, -d + 0.021, 0.07), v(w, d, height), 0.006, 1);
     m.add(rounded(paint, v(-w + 0.02, -d + 0.05, 0.0), v(w - 0.02, d, 0.069), 0.004, 1));
     m.add(rounded(
         paint,
         v(-w - 0.02, -d - 0.02, height + 0.0005),
         v(w + 0.02, d, height + 0.05),
         0.012,
-        3,
+        1,
     ));
     let n = (width / 0.5).max(1.0) as usize;
     let step = width / n as f64;
     for k in 0..n {
         let x = -w + step * (k as f64 + 0.5);
         let (a, b) = (x - step / 2.0 + 0.003, x + step / 2.0 - 0.003);
-        m.add(rounded(paint, v(a, -d, 0.08), v(b, -d + 0.02, height - 0.01), 0.004, 2));
+        m.add(rounded(paint, v(a, -d, 0.08), v(b, -d + 0.02, height - 0.01), 0.004, 1));
         for (z0, z1) in [(0.2, height * 0.46), (height * 0.46 + 0.1, height - 0.13)] {
             m.add(rounded(
                 paint,
                 v(a + 0.08, -d - 0.008, z0),
                 v(b - 0.08, -d - 0.0005, z1),
                 0.006,
-                3,
+                1,
             ));
         }
         let side = if k % 2 == 0 { 1.0 } else { -1.0 };
@@ -249,7 +252,7 @@ pub fn wardrobe(paint: Paint, width: f64, height: f64) -> Mesh {
             "metal.brass",
             &[v(hx, -d, 1.0), v(hx, -d - 0.035, 1.01), v(hx, -d - 0.035, 1.15), v(hx, -d, 1.16)],
             0.006,
-            6,
+            5,
         ));
     }
     m
@@ -327,21 +330,20 @@ pub fn rack(width: f64, height: f64, shelves: usize, mut rng: Rng) -> Mesh {
 pub fn binder(paint: Paint) -> Mesh {
     let (t, d, h) = (0.036, 0.28, 0.31);
     all([
-        rounded(paint, v(-t, 0.0, 0.0), v(t, 0.004, h), 0.0015, 1),
-        cuboid(paint, v(-t, 0.0045, 0.0), v(-t + 0.003, d, h)),
-        cuboid(paint, v(t - 0.003, 0.0045, 0.0), v(t, d, h)),
-        cuboid("paper", v(-t + 0.006, 0.02, 0.006), v(t - 0.014, d - 0.02, h - 0.015)),
+        cuboid(paint, v(-t, 0.0, 0.0), v(t, d, h)),
         cuboid("paper", v(-0.022, -0.0012, 0.12), v(0.022, -0.0003, 0.26)),
-        cylinder("metal.steel", 0.012, 0.002, 8).tipped(90.0).at(0.0, -0.0003, 0.06),
+        lathe("metal.dark", &[(0.0, 0.0), (0.012, 0.0), (0.0, 0.002)], 8)
+            .tipped(90.0)
+            .at(0.0, -0.0003, 0.06),
     ])
 }
 
 /// A cardboard box with a lid.
 pub fn carton(w: f64, d: f64, h: f64) -> Mesh {
-    let mut m = soft("cardboard", w, d, h - 0.02, 0.003, 1);
+    let mut m = cuboid("cardboard", v(-w / 2.0, -d / 2.0, 0.0), v(w / 2.0, d / 2.0, h * 0.78));
     m.add(rounded(
         "cardboard",
-        v(-w / 2.0 - 0.004, -d / 2.0 - 0.004, h * 0.78),
+        v(-w / 2.0 - 0.004, -d / 2.0 - 0.004, h * 0.7801),
         v(w / 2.0 + 0.004, d / 2.0 + 0.004, h),
         0.004,
         1,
@@ -394,10 +396,10 @@ pub fn crate_of(fruit: Paint, mut rng: Rng) -> Mesh {
 /// Clothes on a rail of `width` between two posts.
 pub fn clothes(width: f64, count: usize, mut rng: Rng) -> Mesh {
     let w = width / 2.0;
-    let mut m = tube("metal.chrome", &[v(-w, 0.0, 1.62), v(w, 0.0, 1.62)], 0.013, 7);
+    let mut m = tube("metal.chrome", &[v(-w, 0.0, 1.62), v(w, 0.0, 1.62)], 0.013, 5);
     for s in [-1.0, 1.0] {
-        m.add(tube("metal.chrome", &[v(w * s, 0.0, 0.02), v(w * s, 0.0, 1.655)], 0.014, 7));
-        m.add(soft("metal.chrome", 0.05, 0.44, 0.02, 0.006, 2).at(w * s, 0.0, 0.0));
+        m.add(tube("metal.chrome", &[v(w * s, 0.0, 0.02), v(w * s, 0.0, 1.655)], 0.014, 5));
+        m.add(soft("metal.chrome", 0.05, 0.44, 0.02, 0.006, 1).at(w * s, 0.0, 0.0));
     }
     let cloth: [Paint; 8] = [
         "fabric.navy",
@@ -423,7 +425,7 @@ pub fn clothes(width: f64, count: usize, mut rng: Rng) -> Mesh {
             m.add(tube("wood.birch", &[v(x, 0.0, 1.56), v(x, 0.2 * s, 1.49)], 0.007, 5));
         }
         // A closed bag of cloth: around u, down v.
-        m.add(sheet(paint, (18, 9), (true, false), |u, t| {
+        m.add(sheet(paint, (12, 6), (true, false), |u, t| {
             let (sn, cs) = crate::mesh::sin_cos(-std::f64::consts::TAU * u);
             let spread = 0.07 + 0.16 * (t * 6.0).min(1.0) + 0.02 * t;
             let wave = b * libm::sin(9.0 * cs + a) * t;

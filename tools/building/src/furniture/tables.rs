@@ -10,24 +10,24 @@ fn tapered(paint: Paint, x: f64, y: f64, height: f64, (low, high): (f64, f64), s
     let n = (x * x + y * y).sqrt().max(1e-9);
     let foot = v(x + splay * x / n, y + splay * y / n, 0.0);
     let path: Vec<_> = (0..=4).map(|i| foot.lerp(v(x, y, height), f64::from(i) / 4.0)).collect();
-    rod(paint, &path, |s| low + (high - low) * s, 8)
+    rod(paint, &path, |s| low + (high - low) * s, 6)
 }
 
 /// A table with four legs, `width` by `depth`, `height` to its top.
 pub fn table(wood: Paint, width: f64, depth: f64, height: f64) -> Mesh {
-    let outline = superellipse(width / 2.0, depth / 2.0, 14.0, 64);
+    let outline = superellipse(width / 2.0, depth / 2.0, 14.0, 32);
     let mut m = top(wood, &outline, height - 0.032, height);
     let (x, y) = (width / 2.0 - 0.07, depth / 2.0 - 0.07);
     for s in [-1.0, 1.0] {
         m.add(
-            rounded(wood, v(-x, -0.012, height - 0.11), v(x, 0.012, height - 0.033), 0.005, 2).at(
+            rounded(wood, v(-x, -0.012, height - 0.11), v(x, 0.012, height - 0.033), 0.005, 1).at(
                 0.0,
                 (y - 0.01) * s,
                 0.0,
             ),
         );
         m.add(
-            rounded(wood, v(-0.012, -y, height - 0.11), v(0.012, y, height - 0.033), 0.005, 2).at(
+            rounded(wood, v(-0.012, -y, height - 0.11), v(0.012, y, height - 0.033), 0.005, 1).at(
                 (x - 0.01) * s,
                 0.0,
                 0.0,
@@ -42,7 +42,7 @@ pub fn table(wood: Paint, width: f64, depth: f64, height: f64) -> Mesh {
 
 /// A round table on a turned pedestal.
 pub fn round_table(wood: Paint, foot: Paint, radius: f64, height: f64) -> Mesh {
-    let mut m = top(wood, &superellipse(radius, radius, 2.0, 56), height - 0.03, height);
+    let mut m = top(wood, &superellipse(radius, radius, 2.0, 28), height - 0.03, height);
     let h = height - 0.03;
     m.add(lathe(
         foot,
@@ -60,15 +60,15 @@ pub fn round_table(wood: Paint, foot: Paint, radius: f64, height: f64) -> Mesh {
             (0.14, h - 0.001),
             (0.0, h - 0.001),
         ],
-        22,
+        14,
     ));
     m
 }
 
 /// A low table with a rounded top and a shelf.
 pub fn coffee_table(wood: Paint, width: f64, depth: f64) -> Mesh {
-    let mut m = top(wood, &superellipse(width / 2.0, depth / 2.0, 3.2, 56), 0.36, 0.395);
-    m.add(top(wood, &superellipse(width / 2.0 - 0.1, depth / 2.0 - 0.09, 3.2, 48), 0.14, 0.158));
+    let mut m = top(wood, &superellipse(width / 2.0, depth / 2.0, 3.2, 28), 0.36, 0.395);
+    m.add(top(wood, &superellipse(width / 2.0 - 0.1, depth / 2.0 - 0.09, 3.2, 24), 0.14, 0.158));
     for (s, t) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
         m.add(tapered(
             wood,
@@ -84,8 +84,8 @@ pub fn coffee_table(wood: Paint, width: f64, depth: f64) -> Mesh {
 
 /// A small side table.
 pub fn side_table(wood: Paint) -> Mesh {
-    let mut m = top(wood, &superellipse(0.22, 0.22, 2.0, 40), 0.5, 0.525);
-    m.add(top(wood, &superellipse(0.15, 0.15, 2.0, 32), 0.18, 0.195));
+    let mut m = top(wood, &superellipse(0.22, 0.22, 2.0, 20), 0.5, 0.525);
+    m.add(top(wood, &superellipse(0.15, 0.15, 2.0, 20), 0.18, 0.195));
     for k in 0..3 {
         m.add(
             tapered(wood, 0.15, 0.0, 0.5, (0.01, 0.015), 0.05).turned(120.0 * f64::from(k) + 20.0),
@@ -97,7 +97,7 @@ pub fn side_table(wood: Paint) -> Mesh {
 /// A row of drawers with handles; front at -y.
 pub fn drawers(paint: Paint, handle: Paint, (w, d, h): (f64, f64, f64), rows: usize) -> Mesh {
     let mut m =
-        rounded(paint, v(-w / 2.0, -d / 2.0 + 0.018, 0.0), v(w / 2.0, d / 2.0, h), 0.004, 2);
+        rounded(paint, v(-w / 2.0, -d / 2.0 + 0.018, 0.0), v(w / 2.0, d / 2.0, h), 0.004, 1);
     let step = (h - 0.02) / rows as f64;
     for k in 0..rows {
         let z = 0.012 + step * k as f64;
@@ -106,7 +106,7 @@ pub fn drawers(paint: Paint, handle: Paint, (w, d, h): (f64, f64, f64), rows: us
             v(-w / 2.0 + 0.006, -d / 2.0, z),
             v(w / 2.0 - 0.006, -d / 2.0 + 0.017, z + step - 0.006),
             0.004,
-            2,
+            1,
         ));
         let (y, zz) = (-d / 2.0 - 0.024, z + step * 0.68);
         let half = (w * 0.22).min(0.09);
@@ -123,10 +123,10 @@ pub fn drawers(paint: Paint, handle: Paint, (w, d, h): (f64, f64, f64), rows: us
 /// A desk with a drawer unit; the sitter is at -y.
 pub fn desk(wood: Paint, body: Paint, width: f64) -> Mesh {
     let d = 0.76;
-    let mut m = top(wood, &superellipse(width / 2.0, d / 2.0, 20.0, 64), 0.71, 0.74);
+    let mut m = top(wood, &superellipse(width / 2.0, d / 2.0, 20.0, 32), 0.71, 0.74);
     for x in [-width / 2.0 + 0.05, width / 2.0 - 0.05] {
         for y in [-d / 2.0 + 0.06, d / 2.0 - 0.06] {
-            m.add(soft("metal.dark", 0.045, 0.045, 0.709, 0.006, 2).at(x, y, 0.0));
+            m.add(soft("metal.dark", 0.045, 0.045, 0.709, 0.006, 1).at(x, y, 0.0));
         }
         m.add(rounded(
             "metal.dark",
@@ -141,7 +141,7 @@ pub fn desk(wood: Paint, body: Paint, width: f64) -> Mesh {
         v(-width / 2.0 + 0.075, d / 2.0 - 0.075, 0.36),
         v(width / 2.0 - 0.075, d / 2.0 - 0.055, 0.7),
         0.004,
-        2,
+        1,
     ));
     m.add(drawers(body, "metal.steel", (0.4, 0.55, 0.56), 3).at(width / 2.0 - 0.3, -0.02, 0.07));
     for x in [-0.15, 0.15] {
@@ -155,7 +155,7 @@ pub fn desk(wood: Paint, body: Paint, width: f64) -> Mesh {
 /// A long conference table, its long side along y, on slab feet, with cable lids.
 pub fn conference_table(wood: Paint, foot: Paint, length: f64, width: f64) -> Mesh {
     let boat = |inset: f64| -> Vec<DVec2> {
-        superellipse(width / 2.0 - inset, length / 2.0 - inset, 6.0, 112)
+        superellipse(width / 2.0 - inset, length / 2.0 - inset, 6.0, 56)
             .into_iter()
             .map(|p| DVec2::new(p.x * (1.0 - 0.16 * (2.0 * p.y / length).raised(2)), p.y))
             .collect()
@@ -163,13 +163,13 @@ pub fn conference_table(wood: Paint, foot: Paint, length: f64, width: f64) -> Me
     let mut m = top(wood, &boat(0.0), 0.705, 0.745);
     for k in 0..3 {
         let y = (f64::from(k) - 1.0) * length * 0.34;
-        m.add(top(foot, &superellipse(width * 0.27, 0.2, 5.0, 48), 0.0, 0.03).at(0.0, y, 0.0));
+        m.add(top(foot, &superellipse(width * 0.27, 0.2, 5.0, 24), 0.0, 0.03).at(0.0, y, 0.0));
         m.add(
-            rounded(foot, v(-width * 0.2, -0.1, 0.029), v(width * 0.2, 0.1, 0.704), 0.03, 4)
+            rounded(foot, v(-width * 0.2, -0.1, 0.029), v(width * 0.2, 0.1, 0.704), 0.03, 2)
                 .at(0.0, y, 0.0),
         );
         m.add(
-            rounded("metal.steel", v(-0.06, -0.14, 0.7455), v(0.06, 0.14, 0.7495), 0.0015, 2)
+            rounded("metal.steel", v(-0.06, -0.14, 0.7455), v(0.06, 0.14, 0.7495), 0.0015, 1)
                 .at(0.0, y, 0.0),
         );
     }
@@ -179,21 +179,21 @@ pub fn conference_table(wood: Paint, foot: Paint, length: f64, width: f64) -> Me
 /// A reception counter of `width` with a raised front; the visitor is at -y.
 pub fn counter(front: Paint, worktop: Paint, width: f64) -> Mesh {
     let w = width / 2.0;
-    let mut m = rounded(front, v(-w, -0.3, 0.04), v(w, -0.22, 1.04), 0.012, 2);
+    let mut m = rounded(front, v(-w, -0.3, 0.04), v(w, -0.22, 1.04), 0.012, 1);
     for s in [-1.0, 1.0] {
-        m.add(rounded(front, v(-0.03, -0.215, 0.04), v(0.03, 0.4, 1.04), 0.012, 2).at(
+        m.add(rounded(front, v(-0.03, -0.215, 0.04), v(0.03, 0.4, 1.04), 0.012, 1).at(
             (w - 0.031) * s,
             0.0,
             0.0,
         ));
     }
-    m.add(rounded(worktop, v(-w - 0.02, -0.36, 1.041), v(w + 0.02, -0.06, 1.075), 0.012, 3));
-    m.add(rounded(worktop, v(-w + 0.062, -0.21, 0.7), v(w - 0.062, 0.42, 0.73), 0.008, 2));
-    m.add(rounded("metal.dark", v(-w + 0.03, -0.27, 0.0), v(w - 0.03, 0.3, 0.038), 0.006, 2));
+    m.add(rounded(worktop, v(-w - 0.02, -0.36, 1.041), v(w + 0.02, -0.06, 1.075), 0.012, 1));
+    m.add(rounded(worktop, v(-w + 0.062, -0.21, 0.7), v(w - 0.062, 0.42, 0.73), 0.008, 1));
+    m.add(rounded("metal.dark", v(-w + 0.03, -0.27, 0.0), v(w - 0.03, 0.3, 0.038), 0.006, 1));
     let n = (width / 0.075) as usize;
     for k in 0..n {
         let x = -w + 0.05 + (width - 0.1) * (k as f64 + 0.5) / n as f64;
-        m.add(rounded("wood.oak", v(x - 0.02, -0.318, 0.08), v(x + 0.02, -0.301, 1.0), 0.006, 2));
+        m.add(rounded("wood.oak", v(x - 0.02, -0.318, 0.08), v(x + 0.02, -0.301, 1.0), 0.006, 1));
     }
     m
 }
@@ -202,12 +202,12 @@ pub fn counter(front: Paint, worktop: Paint, width: f64) -> Mesh {
 pub fn pool_table(wood: Paint) -> Mesh {
     let (w, d) = (1.22, 0.68);
     let mut m = all([
-        rounded(wood, v(-w, -d, 0.58), v(w, d, 0.775), 0.03, 3),
-        rounded("felt.green", v(-w + 0.1, -d + 0.1, 0.7755), v(w - 0.1, d - 0.1, 0.79), 0.004, 2),
+        rounded(wood, v(-w, -d, 0.58), v(w, d, 0.775), 0.03, 1),
+        rounded("felt.green", v(-w + 0.1, -d + 0.1, 0.7755), v(w - 0.1, d - 0.1, 0.79), 0.004, 1),
     ]);
     for s in [-1.0, 1.0] {
         for (x0, x1) in [(-w + 0.1, -0.06), (0.06, w - 0.1)] {
-            m.add(rounded(wood, v(x0, -0.05, 0.776), v(x1, 0.05, 0.832), 0.016, 3).at(
+            m.add(rounded(wood, v(x0, -0.05, 0.776), v(x1, 0.05, 0.832), 0.016, 1).at(
                 0.0,
                 (d - 0.05) * s,
                 0.0,
@@ -218,12 +218,12 @@ pub fn pool_table(wood: Paint) -> Mesh {
                     v(x0 + 0.03, -0.025, 0.7905),
                     v(x1 - 0.03, 0.0249, 0.825),
                     0.01,
-                    2,
+                    1,
                 )
                 .at(0.0, (d - 0.126) * s, 0.0),
             );
         }
-        m.add(rounded(wood, v(-0.05, -d + 0.1, 0.776), v(0.05, d - 0.1, 0.832), 0.016, 3).at(
+        m.add(rounded(wood, v(-0.05, -d + 0.1, 0.776), v(0.05, d - 0.1, 0.832), 0.016, 1).at(
             (w - 0.05) * s,
             0.0,
             0.0,
@@ -234,7 +234,7 @@ pub fn pool_table(wood: Paint) -> Mesh {
                 v(-0.025, -d + 0.13, 0.7905),
                 v(0.0249, d - 0.13, 0.825),
                 0.01,
-                2,
+                1,
             )
             .at((w - 0.126) * s, 0.0, 0.0),
         );
@@ -253,7 +253,7 @@ pub fn pool_table(wood: Paint) -> Mesh {
                         (0.04, 0.02),
                         (0.0, 0.012),
                     ],
-                    13,
+                    8,
                 )
                 .at(x, y, 0.78),
             );
@@ -274,7 +274,7 @@ pub fn pool_table(wood: Paint) -> Mesh {
                         (0.09, 0.579),
                         (0.0, 0.579),
                     ],
-                    14,
+                    8,
                 )
                 .at((w - 0.2) * s, (d - 0.16) * t, 0.0),
             );
@@ -305,13 +305,13 @@ pub fn pool_table(wood: Paint) -> Mesh {
                 0.45 + f64::from(row) * r * 1.76,
                 (f64::from(i) - f64::from(row) / 2.0) * r * 2.03,
             );
-            m.add(ball(colours[k], r, 10).at(x, y, 0.791 + r));
+            m.add(ball(colours[k], r, 8).at(x, y, 0.791 + r));
             k += 1;
         }
     }
-    m.add(ball("ceramic.white", r, 10).at(-0.62, 0.08, 0.791 + r));
+    m.add(ball("ceramic.white", r, 8).at(-0.62, 0.08, 0.791 + r));
     let cue = [v(-1.05, -0.28, 0.86), v(0.25, 0.12, 0.835)];
-    m.add(rod("wood.birch", &cue, |s| 0.014 - 0.008 * s, 7));
+    m.add(rod("wood.birch", &cue, |s| 0.014 - 0.008 * s, 5));
     m
 }
 
@@ -319,16 +319,16 @@ pub fn pool_table(wood: Paint) -> Mesh {
 pub fn piano(wood: Paint) -> Mesh {
     let w = 0.74;
     let mut m = all([
-        rounded(wood, v(-w, 0.0, 0.02), v(w, 0.3, 1.16), 0.01, 2),
-        rounded(wood, v(-w - 0.012, -0.02, 1.161), v(w + 0.012, 0.31, 1.19), 0.01, 2),
-        rounded(wood, v(-w, -0.3, 0.6), v(w, -0.001, 0.68), 0.01, 2),
-        rounded(wood, v(-w + 0.06, -0.016, 0.14), v(w - 0.06, -0.001, 0.56), 0.006, 2),
-        rounded(wood, v(-w + 0.06, -0.016, 0.76), v(w - 0.06, -0.001, 1.1), 0.006, 2),
-        rounded(wood, v(-0.45, -0.05, 0.82), v(0.45, -0.036, 1.06), 0.005, 2).tipped(0.0),
-        rounded(wood, v(-0.45, -0.1, 0.806), v(0.45, -0.017, 0.82), 0.005, 2),
+        rounded(wood, v(-w, 0.0, 0.02), v(w, 0.3, 1.16), 0.01, 1),
+        rounded(wood, v(-w - 0.012, -0.02, 1.161), v(w + 0.012, 0.31, 1.19), 0.01, 1),
+        rounded(wood, v(-w, -0.3, 0.6), v(w, -0.001, 0.68), 0.01, 1),
+        rounded(wood, v(-w + 0.06, -0.016, 0.14), v(w - 0.06, -0.001, 0.56), 0.006, 1),
+        rounded(wood, v(-w + 0.06, -0.016, 0.76), v(w - 0.06, -0.001, 1.1), 0.006, 1),
+        rounded(wood, v(-0.45, -0.05, 0.82), v(0.45, -0.036, 1.06), 0.005, 1).tipped(0.0),
+        rounded(wood, v(-0.45, -0.1, 0.806), v(0.45, -0.017, 0.82), 0.005, 1),
     ]);
     for s in [-1.0, 1.0] {
-        m.add(rounded(wood, v(-0.035, -0.3, 0.681), v(0.035, -0.001, 0.76), 0.012, 3).at(
+        m.add(rounded(wood, v(-0.035, -0.3, 0.681), v(0.035, -0.001, 0.76), 0.012, 1).at(
             (w - 0.036) * s,
             0.0,
             0.0,
@@ -345,7 +345,7 @@ pub fn piano(wood: Paint) -> Mesh {
                     (0.042, 0.599),
                     (0.0, 0.599),
                 ],
-                12,
+                8,
             )
             .at((w - 0.06) * s, -0.24, 0.0),
         );
@@ -379,7 +379,7 @@ pub fn piano(wood: Paint) -> Mesh {
             "metal.brass",
             &[v(0.1 * (f64::from(k) - 1.0), -0.12, 0.05), v(0.1 * (f64::from(k) - 1.0), 0.0, 0.08)],
             0.012,
-            6,
+            5,
         ));
     }
     m
@@ -389,11 +389,11 @@ pub fn piano(wood: Paint) -> Mesh {
 pub fn easel(wood: Paint, strokes: [Paint; 4]) -> Mesh {
     let mut m = Mesh::new();
     for s in [-1.0, 1.0] {
-        m.add(tube(wood, &[v(0.32 * s, -0.12, 0.0), v(0.06 * s, 0.12, 1.75)], 0.016, 6));
+        m.add(tube(wood, &[v(0.32 * s, -0.12, 0.0), v(0.06 * s, 0.12, 1.75)], 0.016, 5));
     }
-    m.add(tube(wood, &[v(0.0, 0.55, 0.0), v(0.0, 0.13, 1.68)], 0.016, 6));
-    m.add(rounded(wood, v(-0.4, -0.09, 0.74), v(0.4, -0.005, 0.77), 0.006, 2));
-    let mut canvas = rounded("paper", v(-0.36, -0.012, 0.0), v(0.36, 0.012, 0.86), 0.005, 2);
+    m.add(tube(wood, &[v(0.0, 0.55, 0.0), v(0.0, 0.13, 1.68)], 0.016, 5));
+    m.add(rounded(wood, v(-0.4, -0.09, 0.74), v(0.4, -0.005, 0.77), 0.006, 1));
+    let mut canvas = rounded("paper", v(-0.36, -0.012, 0.0), v(0.36, 0.012, 0.86), 0.005, 1);
     for (k, paint) in strokes.into_iter().enumerate() {
         let f = k as f64;
         canvas.add(sheet(paint, (18, 6), (false, false), |a, b| {
@@ -411,31 +411,31 @@ pub fn easel(wood: Paint, strokes: [Paint; 4]) -> Mesh {
 
 /// A workbench with a vice; the worker is at -y.
 pub fn workbench(wood: Paint, width: f64) -> Mesh {
-    let mut m = soft(wood, width, 0.66, 0.07, 0.01, 3).at(0.0, 0.0, 0.8);
+    let mut m = soft(wood, width, 0.66, 0.07, 0.01, 1).at(0.0, 0.0, 0.8);
     for s in [-1.0, 1.0] {
         for t in [-1.0, 1.0] {
-            m.add(soft(wood, 0.085, 0.085, 0.799, 0.01, 2).at(
+            m.add(soft(wood, 0.085, 0.085, 0.799, 0.01, 1).at(
                 (width / 2.0 - 0.14) * s,
                 0.24 * t,
                 0.0,
             ));
         }
-        m.add(soft(wood, 0.05, 0.39, 0.09, 0.008, 2).at((width / 2.0 - 0.14) * s, 0.0, 0.16));
+        m.add(soft(wood, 0.05, 0.39, 0.09, 0.008, 1).at((width / 2.0 - 0.14) * s, 0.0, 0.16));
     }
-    m.add(soft(wood, width - 0.38, 0.4, 0.03, 0.006, 2).at(0.0, 0.0, 0.2));
-    m.add(soft("metal.dark", 0.18, 0.05, 0.12, 0.012, 3).at(-width / 2.0 + 0.3, -0.37, 0.745));
+    m.add(soft(wood, width - 0.38, 0.4, 0.03, 0.006, 1).at(0.0, 0.0, 0.2));
+    m.add(soft("metal.dark", 0.18, 0.05, 0.12, 0.012, 1).at(-width / 2.0 + 0.3, -0.37, 0.745));
     m.add(tube(
         "metal.steel",
         &[v(-width / 2.0 + 0.3, -0.46, 0.79), v(-width / 2.0 + 0.3, -0.3, 0.79)],
         0.013,
-        7,
+        5,
     ));
     m.add(tube(
         "metal.steel",
         &[v(-width / 2.0 + 0.2, -0.455, 0.79), v(-width / 2.0 + 0.4, -0.455, 0.79)],
         0.008,
-        6,
+        5,
     ));
-    m.add(cylinder("metal.copper", 0.05, 0.11, 14).at(width / 2.0 - 0.25, 0.15, 0.871));
+    m.add(cylinder("metal.copper", 0.05, 0.11, 10).at(width / 2.0 - 0.25, 0.15, 0.871));
     m
 }

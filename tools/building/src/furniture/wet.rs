@@ -2,13 +2,13 @@
 
 use crate::furniture::tables::drawers;
 use crate::mesh::{
-    Mesh, Paint, all, ball, curve, cylinder, lathe, plate, ring, rod, rounded, sheet, sin_cos,
-    soft, superellipse, top, tube, v,
+    Mesh, Paint, all, ball, bands, curve, cylinder, lathe, plate, ring, rod, rounded, sheet,
+    sin_cos, soft, superellipse, top, tube, v,
 };
 use std::f64::consts::TAU;
 
 fn tap(paint: Paint, reach: f64, tall: f64) -> Mesh {
-    let mut m = cylinder(paint, 0.026, 0.02, 12);
+    let mut m = cylinder(paint, 0.026, 0.02, 9);
     let path = curve(
         &[
             v(0.0, 0.0, 0.018),
@@ -16,10 +16,10 @@ fn tap(paint: Paint, reach: f64, tall: f64) -> Mesh {
             v(0.0, -reach * 0.4, tall),
             v(0.0, -reach, tall * 0.82),
         ],
-        6,
+        4,
     );
-    m.add(tube(paint, &path, 0.012, 7));
-    m.add(tube(paint, &[v(0.014, 0.0, 0.06), v(0.09, -0.01, 0.085)], 0.007, 6));
+    m.add(tube(paint, &path, 0.012, 5));
+    m.add(tube(paint, &[v(0.014, 0.0, 0.06), v(0.09, -0.01, 0.085)], 0.007, 5));
     m
 }
 
@@ -36,7 +36,7 @@ fn bowl(paint: Paint, x: f64, y: f64, deep: f64, power: f64) -> Mesh {
         (0.78, -deep * 0.88, 1.0),
         (0.55, -deep, 1.0),
     ];
-    let outline = superellipse(x, y, power, 56);
+    let outline = superellipse(x, y, power, 28);
     let mut m = Mesh::new();
     let mut rings: Vec<Vec<u32>> = Vec::new();
     for (f, z, _) in profile {
@@ -101,19 +101,19 @@ pub fn base_unit(front: Paint, worktop: Paint, width: f64, kind: u32) -> Mesh {
                 v(-w + 0.004, -d, 0.72),
                 v(w - 0.004, -d + 0.019, 0.85),
                 0.004,
-                2,
+                1,
             ));
             m.add(rounded(
                 "plastic.black",
                 v(-w + 0.004, -d, 0.13),
                 v(w - 0.004, -d + 0.019, 0.712),
                 0.006,
-                2,
+                1,
             ));
             m.add(handle(-w + 0.06, w - 0.06, 0.67));
             for k in 0..4 {
                 let x = -w + 0.12 + (width - 0.24) * f64::from(k) / 3.0;
-                m.add(cylinder("metal.dark", 0.02, 0.024, 12).tipped(90.0).at(
+                m.add(cylinder("metal.dark", 0.02, 0.024, 9).tipped(90.0).at(
                     x,
                     -d - 0.0005,
                     0.785,
@@ -126,7 +126,7 @@ pub fn base_unit(front: Paint, worktop: Paint, width: f64, kind: u32) -> Mesh {
                 v(-w + 0.003, -d, 0.112),
                 v(w - 0.003, -d + 0.019, 0.85),
                 0.004,
-                2,
+                1,
             ));
             m.add(handle(-w * 0.5, w * 0.5, 0.8));
         }
@@ -149,7 +149,7 @@ pub fn base_unit(front: Paint, worktop: Paint, width: f64, kind: u32) -> Mesh {
         ));
         m.add(tap("metal.chrome", 0.2, 0.3).at(0.0, 0.23, 0.896));
     } else {
-        m.add(rounded(worktop, v(-w, -d - 0.02, 0.856), v(w, d, 0.895), 0.004, 2));
+        m.add(rounded(worktop, v(-w, -d - 0.02, 0.856), v(w, d, 0.895), 0.004, 1));
     }
     if kind == 2 {
         m.add(rounded("screen", v(-w + 0.02, -0.24, 0.8955), v(w - 0.02, 0.26, 0.901), 0.002, 1));
@@ -175,7 +175,7 @@ pub fn wall_unit(front: Paint, width: f64) -> Mesh {
             v(x - step / 2.0 + 0.003, -0.16, 0.003),
             v(x + step / 2.0 - 0.003, -0.1405, 0.697),
             0.004,
-            2,
+            1,
         ));
         let hx = x + if k == 0 { step / 2.0 - 0.05 } else { -step / 2.0 + 0.05 };
         m.add(tube(
@@ -190,8 +190,8 @@ pub fn wall_unit(front: Paint, width: f64) -> Mesh {
 
 /// An extractor hood with its flue.
 pub fn hood() -> Mesh {
-    let mut m = rounded("metal.steel", v(-0.13, -0.09, 0.18), v(0.13, 0.16, 1.0), 0.006, 2);
-    m.add(rounded("metal.steel", v(-0.3, -0.3, 0.0), v(0.3, 0.16, 0.179), 0.01, 2).map(|p| {
+    let mut m = rounded("metal.steel", v(-0.13, -0.09, 0.18), v(0.13, 0.16, 1.0), 0.006, 1);
+    m.add(rounded("metal.steel", v(-0.3, -0.3, 0.0), v(0.3, 0.16, 0.179), 0.01, 1).map(|p| {
         let t = ((p.z - 0.03) / 0.149).clamp(0.0, 1.0);
         v(p.x * (1.0 - 0.5 * t), 0.16 + (p.y - 0.16) * (1.0 - 0.4 * t), p.z)
     }));
@@ -200,9 +200,9 @@ pub fn hood() -> Mesh {
 
 /// A tall refrigerator.
 pub fn fridge(paint: Paint) -> Mesh {
-    let mut m = rounded(paint, v(-0.3, -0.27, 0.02), v(0.3, 0.32, 1.85), 0.02, 3);
+    let mut m = rounded(paint, v(-0.3, -0.27, 0.02), v(0.3, 0.32, 1.85), 0.02, 1);
     for (z0, z1) in [(0.06, 0.68), (0.69, 1.83)] {
-        m.add(rounded(paint, v(-0.296, -0.33, z0), v(0.296, -0.271, z1), 0.018, 4));
+        m.add(rounded(paint, v(-0.296, -0.33, z0), v(0.296, -0.271, z1), 0.018, 2));
         let z = if z0 < 0.5 { 0.52 } else { 0.85 };
         m.add(tube(
             "metal.chrome",
@@ -213,7 +213,7 @@ pub fn fridge(paint: Paint) -> Mesh {
                 v(-0.24, -0.33, z + 0.16),
             ],
             0.009,
-            6,
+            5,
         ));
     }
     for (x, y) in [(-0.24, -0.2), (0.24, -0.2), (-0.24, 0.25), (0.24, 0.25)] {
@@ -236,9 +236,9 @@ pub fn cooking_pot(paint: Paint, r: f64, h: f64) -> Mesh {
             (r * 0.4, h + 0.028),
             (0.0, h + 0.032),
         ],
-        22,
+        14,
     );
-    m.add(cylinder("plastic.black", 0.018, 0.022, 10).at(0.0, 0.0, h + 0.031));
+    m.add(cylinder("plastic.black", 0.018, 0.022, 8).at(0.0, 0.0, h + 0.031));
     for s in [-1.0, 1.0] {
         let grip = curve(
             &[
@@ -247,7 +247,7 @@ pub fn cooking_pot(paint: Paint, r: f64, h: f64) -> Mesh {
                 v((r + 0.035) * s, 0.025, h - 0.02),
                 v(r * s, 0.03, h - 0.025),
             ],
-            3,
+            2,
         );
         m.add(tube("plastic.black", &grip, 0.006, 5));
     }
@@ -257,12 +257,12 @@ pub fn cooking_pot(paint: Paint, r: f64, h: f64) -> Mesh {
 /// Things on a worktop: jars, a board, a knife block, spoons.
 pub fn worktop_things() -> Mesh {
     let mut m = all([
-        rounded("wood.walnut", v(-0.2, -0.14, 0.0), v(0.16, 0.1, 0.02), 0.006, 2),
-        rounded("wood.oak", v(-0.05, -0.06, 0.0), v(0.05, 0.06, 0.2), 0.008, 2)
+        rounded("wood.walnut", v(-0.2, -0.14, 0.0), v(0.16, 0.1, 0.02), 0.006, 1),
+        rounded("wood.oak", v(-0.05, -0.06, 0.0), v(0.05, 0.06, 0.2), 0.008, 1)
             .tipped(8.0)
             .at(0.42, 0.1, 0.008),
-        ball("fruit.apple", 0.036, 10).at(-0.08, -0.02, 0.055),
-        ball("fruit.lime", 0.03, 10).at(0.02, 0.03, 0.05),
+        ball("fruit.apple", 0.036, 8).at(-0.08, -0.02, 0.055),
+        ball("fruit.lime", 0.03, 8).at(0.02, 0.03, 0.05),
     ]);
     for k in 0..3 {
         let x = -0.42 + 0.13 * f64::from(k);
@@ -278,17 +278,17 @@ pub fn worktop_things() -> Mesh {
                     (0.045, h - 0.012),
                     (0.0, h - 0.012),
                 ],
-                17,
+                11,
             )
             .at(x, 0.14, 0.0),
         );
-        m.add(cylinder("wood.oak", 0.047, 0.02, 14).at(x, 0.14, h - 0.011));
+        m.add(cylinder("wood.oak", 0.047, 0.02, 10).at(x, 0.14, h - 0.011));
     }
     m.add(
         lathe(
             "ceramic.blue",
             &[(0.0, 0.0), (0.05, 0.0), (0.058, 0.12), (0.055, 0.122), (0.047, 0.01), (0.0, 0.01)],
-            17,
+            11,
         )
         .at(0.27, 0.14, 0.0),
     );
@@ -309,24 +309,13 @@ pub fn bathtub() -> Mesh {
     let (x, y) = (0.85, 0.38);
     let mut m = bowl("ceramic.white", x, y, 0.44, 5.0).at(0.0, 0.0, 0.575);
     // An apron around it.
-    m.add(sheet("ceramic.white", (80, 6), (true, true), |u, t| {
-        let k = libm::round(t * 6.0) as usize % 6;
-        let (f, z) = [
-            (0.0, 0.0),
-            (0.004, 0.28),
-            (0.006, 0.562),
-            (-0.012, 0.562),
-            (-0.016, 0.28),
-            (-0.02, 0.0),
-        ][k];
-        let ring = superellipse(x + f - 0.006, y + f - 0.006, 5.0, 80);
-        let p = ring[libm::round(u * 80.0) as usize % 80];
-        v(p.x, p.y, z)
-    }));
+    let skirt =
+        [(0.93, 0.0), (0.985, 0.0), (0.995, 0.28), (0.998, 0.562), (0.955, 0.562), (0.94, 0.28)];
+    m.add(bands("ceramic.white", &superellipse(x, y, 5.0, 40), &skirt, true));
     m.add(tap("metal.chrome", 0.17, 0.16).at(0.0, y - 0.03, 0.578));
-    m.add(cylinder("metal.chrome", 0.03, 0.006, 12).at(0.5, 0.0, 0.14));
+    m.add(cylinder("metal.chrome", 0.03, 0.006, 9).at(0.5, 0.0, 0.14));
     let hose =
-        curve(&[v(0.12, y - 0.03, 0.578), v(0.2, y - 0.05, 0.66), v(0.28, y - 0.02, 0.6)], 6);
+        curve(&[v(0.12, y - 0.03, 0.578), v(0.2, y - 0.05, 0.66), v(0.28, y - 0.02, 0.6)], 4);
     m.add(tube("metal.chrome", &hose, 0.007, 5));
     m
 }
@@ -342,7 +331,7 @@ pub fn washbasin(front: Paint, width: f64) -> Mesh {
         (v(-w, y0, 0.782), v(-x, y1, 0.83)),
         (v(x, y0, 0.782), v(w, y1, 0.83)),
     ] {
-        m.add(rounded("ceramic.white", a, b, 0.004, 2));
+        m.add(rounded("ceramic.white", a, b, 0.004, 1));
     }
     m.add(bowl("ceramic.white", x + 0.02, (y1 - y0) / 2.0 + 0.02, 0.1, 3.4).at(
         0.0,
@@ -357,38 +346,28 @@ pub fn washbasin(front: Paint, width: f64) -> Mesh {
 pub fn toilet() -> Mesh {
     let mut m = bowl("ceramic.white", 0.19, 0.24, 0.17, 2.4).at(0.0, -0.12, 0.4);
     // The foot narrows below the bowl.
+    let outline = superellipse(0.19, 0.24, 2.4, 24);
     let foot = [
-        (0.0, 0.0),
+        (0.0, 0.001),
         (0.6, 0.0),
         (0.62, 0.02),
         (0.5, 0.1),
         (0.56, 0.2),
-        (0.86, 0.33),
-        (0.94, 0.372),
-        (0.0, 0.21),
+        (0.8, 0.33),
+        (0.0, 0.331),
     ];
-    let outline = superellipse(0.19, 0.24, 2.4, 48);
-    m.add(sheet("ceramic.white", (48, 5), (true, false), |u, t| {
-        let (f, z) = foot[1 + libm::round(t * 5.0) as usize];
-        let p = outline[libm::round(u * 48.0) as usize % 48];
-        v(p.x * f, p.y * f - 0.12, z)
-    }));
+    m.add(bands("ceramic.white", &outline, &foot, false).at(0.0, -0.12, 0.0));
     // Seat: a flat ring, and the lid that leans on the cistern.
-    m.add(sheet("plastic.white", (48, 5), (true, true), |u, t| {
-        let (f, z) =
-            [(1.02, 0.0), (1.03, 0.01), (0.98, 0.02), (0.68, 0.02), (0.64, 0.01), (0.66, 0.0)]
-                [libm::round(t * 5.0) as usize % 6 % 5];
-        let p = outline[libm::round(u * 48.0) as usize % 48];
-        v(p.x * f, p.y * f - 0.12, 0.408 + z)
-    }));
+    let seat = [(0.66, 0.0), (1.02, 0.0), (1.03, 0.01), (0.98, 0.02), (0.68, 0.02)];
+    m.add(bands("plastic.white", &outline, &seat, true).at(0.0, -0.12, 0.408));
     m.add(
-        top("plastic.white", &superellipse(0.19, 0.23, 2.4, 48), 0.0, 0.02)
+        top("plastic.white", &superellipse(0.19, 0.23, 2.4, 24), 0.0, 0.02)
             .tipped(97.0)
             .at(0.0, 0.1, 0.66),
     );
-    m.add(rounded("ceramic.white", v(-0.2, 0.14, 0.38), v(0.2, 0.32, 0.76), 0.02, 3));
-    m.add(rounded("ceramic.white", v(-0.21, 0.13, 0.761), v(0.21, 0.325, 0.795), 0.012, 3));
-    m.add(cylinder("metal.chrome", 0.025, 0.008, 12).at(0.0, 0.23, 0.7955));
+    m.add(rounded("ceramic.white", v(-0.2, 0.14, 0.38), v(0.2, 0.32, 0.76), 0.02, 1));
+    m.add(rounded("ceramic.white", v(-0.21, 0.13, 0.761), v(0.21, 0.325, 0.795), 0.012, 1));
+    m.add(cylinder("metal.chrome", 0.025, 0.008, 9).at(0.0, 0.23, 0.7955));
     m
 }
 
@@ -400,7 +379,7 @@ pub fn paper_roll() -> Mesh {
         0.006,
         5,
     );
-    m.add(cylinder("paper", 0.052, 0.1, 17).rolled(90.0).at(-0.05, -0.07, 0.0));
+    m.add(cylinder("paper", 0.052, 0.1, 13).rolled(90.0).at(-0.05, -0.07, 0.0));
     m.add(plate("paper", (4, 6), 0.0012, |a, b| v(-0.05 + 0.1 * a, -0.124, -0.16 + 0.15 * b)));
     m
 }
@@ -409,7 +388,7 @@ pub fn paper_roll() -> Mesh {
 pub fn towel_rail(towel: Paint) -> Mesh {
     let mut m = Mesh::new();
     for s in [-1.0, 1.0] {
-        m.add(tube("metal.chrome", &[v(0.24 * s, -0.06, 0.0), v(0.24 * s, -0.06, 1.1)], 0.012, 7));
+        m.add(tube("metal.chrome", &[v(0.24 * s, -0.06, 0.0), v(0.24 * s, -0.06, 1.1)], 0.012, 5));
         for z in [0.1, 1.0] {
             m.add(tube("metal.chrome", &[v(0.24 * s, -0.048, z), v(0.24 * s, 0.0, z)], 0.008, 5));
         }
@@ -419,7 +398,7 @@ pub fn towel_rail(towel: Paint) -> Mesh {
         m.add(tube("metal.chrome", &[v(-0.24, -0.06, z), v(0.24, -0.06, z)], 0.008, 5));
     }
     for (z, paint) in [(0.96, towel), (0.42, "fabric.white")] {
-        m.add(plate(paint, (14, 22), 0.008, |a, b| {
+        m.add(plate(paint, (8, 12), 0.008, |a, b| {
             // Over the rail: down the front, across the bar, down the back.
             let s = (b - 0.5) * 0.8;
             let bend = 0.025;
@@ -439,8 +418,8 @@ pub fn towel_rail(towel: Paint) -> Mesh {
 
 /// A glass shower corner with a tray; the walls are at +x and +y.
 pub fn shower() -> Mesh {
-    let mut m = rounded("ceramic.white", v(-0.45, -0.45, 0.0), v(0.45, 0.45, 0.06), 0.015, 3);
-    m.add(cylinder("metal.chrome", 0.045, 0.006, 14).at(0.0, 0.0, 0.0605));
+    let mut m = rounded("ceramic.white", v(-0.45, -0.45, 0.0), v(0.45, 0.45, 0.06), 0.015, 1);
+    m.add(cylinder("metal.chrome", 0.045, 0.006, 10).at(0.0, 0.0, 0.0605));
     // Screens to -x and -y with slender posts; the front one leaves a gap to enter.
     for (a, b) in [((-0.43, -0.43), (-0.43, 0.44)), ((-0.43, -0.43), (-0.02, -0.43))] {
         m.add(sheet("glass.pane", (2, 3), (false, false), |s, t| {
@@ -448,26 +427,26 @@ pub fn shower() -> Mesh {
         }));
     }
     for (x, y) in [(-0.43, -0.43), (-0.43, 0.43), (-0.02, -0.43)] {
-        m.add(soft("metal.chrome", 0.024, 0.024, 1.95, 0.005, 2).at(x, y, 0.06));
+        m.add(soft("metal.chrome", 0.024, 0.024, 1.95, 0.005, 1).at(x, y, 0.06));
     }
-    m.add(tube("metal.chrome", &[v(0.0, 0.4, 0.9), v(0.0, 0.4, 2.0)], 0.011, 7));
-    let arm = curve(&[v(0.0, 0.4, 2.0), v(0.0, 0.36, 2.08), v(0.0, 0.12, 2.09)], 4);
-    m.add(tube("metal.chrome", &arm, 0.011, 7));
+    m.add(tube("metal.chrome", &[v(0.0, 0.4, 0.9), v(0.0, 0.4, 2.0)], 0.011, 5));
+    let arm = curve(&[v(0.0, 0.4, 2.0), v(0.0, 0.36, 2.08), v(0.0, 0.12, 2.09)], 2);
+    m.add(tube("metal.chrome", &arm, 0.011, 5));
     m.add(
         lathe(
             "metal.chrome",
             &[(0.0, 0.0), (0.1, 0.0), (0.103, 0.006), (0.02, 0.02), (0.0, 0.04)],
-            19,
+            12,
         )
         .at(0.0, 0.12, 2.055),
     );
-    m.add(rounded("metal.chrome", v(-0.13, 0.385, 1.05), v(0.13, 0.43, 1.09), 0.012, 3));
+    m.add(rounded("metal.chrome", v(-0.13, 0.385, 1.05), v(0.13, 0.43, 1.09), 0.012, 1));
     m
 }
 
 /// A cubicle wall with feet: `long` along y.
 pub fn cubicle_wall(paint: Paint, long: f64) -> Mesh {
-    let mut m = rounded(paint, v(-0.015, -long / 2.0, 0.15), v(0.015, long / 2.0, 2.0), 0.006, 2);
+    let mut m = rounded(paint, v(-0.015, -long / 2.0, 0.15), v(0.015, long / 2.0, 2.0), 0.006, 1);
     for s in [-1.0, 1.0] {
         m.add(cylinder("metal.chrome", 0.016, 0.151, 8).at(0.0, (long / 2.0 - 0.08) * s, 0.0));
     }
@@ -476,19 +455,19 @@ pub fn cubicle_wall(paint: Paint, long: f64) -> Mesh {
 
 /// A washing machine.
 pub fn washing_machine() -> Mesh {
-    let mut m = soft("lacquer.white", 0.6, 0.58, 0.85, 0.012, 3);
+    let mut m = soft("lacquer.white", 0.6, 0.58, 0.85, 0.012, 1);
     let face = |m: Mesh| m.tipped(90.0);
     m.add(face(ring("metal.chrome", 0.17, 0.022, 48, 12)).at(0.0, -0.296, 0.42));
     m.add(
         face(lathe(
             "screen",
             &[(0.0, 0.0), (0.155, 0.0), (0.15, 0.012), (0.08, 0.03), (0.0, 0.034)],
-            22,
+            14,
         ))
         .at(0.0, -0.2905, 0.42),
     );
-    m.add(rounded("plastic.grey", v(-0.27, -0.297, 0.71), v(0.27, -0.2905, 0.82), 0.003, 2));
-    m.add(face(cylinder("metal.steel", 0.03, 0.02, 14)).at(0.14, -0.2975, 0.765));
+    m.add(rounded("plastic.grey", v(-0.27, -0.297, 0.71), v(0.27, -0.2905, 0.82), 0.003, 1));
+    m.add(face(cylinder("metal.steel", 0.03, 0.02, 10)).at(0.14, -0.2975, 0.765));
     m
 }
 
@@ -506,9 +485,9 @@ pub fn mop_bucket() -> Mesh {
             (0.12, 0.012),
             (0.0, 0.01),
         ],
-        22,
+        14,
     );
-    m.add(tube("wood.birch", &[v(-0.03, 0.0, 0.1), v(0.12, 0.09, 1.35)], 0.012, 6));
+    m.add(tube("wood.birch", &[v(-0.03, 0.0, 0.1), v(0.12, 0.09, 1.35)], 0.012, 5));
     for k in 0..14 {
         let (s, c) = sin_cos(TAU * f64::from(k) / 14.0);
         let strand = curve(
@@ -517,7 +496,7 @@ pub fn mop_bucket() -> Mesh {
                 v(-0.03 + 0.05 * c, 0.05 * s, 0.1),
                 v(-0.03 + 0.075 * c, 0.075 * s, 0.03),
             ],
-            3,
+            2,
         );
         m.add(tube("fabric.cream", &strand, 0.009, 5));
     }
