@@ -11,15 +11,22 @@ fn main() -> Result<(), enf_building::BuildingError> {
     let b = design(&Request { kind: Kind::LShape, floors: None, seed })?;
     println!("{:?}", b.summary());
     let mut rooms = vec![0usize; b.plan.rooms.len() + 1];
-    b.for_each_triangle(|_, _, t| {
+    let mut shares = std::collections::BTreeMap::new();
+    b.for_each_triangle(|part, _, t| {
         let c = (t[0] + t[1] + t[2]) / 3.0;
         // Walls belong to the room they face.
         let n = (t[1] - t[0]).cross(t[2] - t[0]).normalize_or_zero() * 0.01;
         let room = b.plan.room_at(c).or(b.plan.room_at(c + n)).or(b.plan.room_at(c - n));
         rooms[room.unwrap_or(b.plan.rooms.len())] += 1;
+        *shares.entry((room, part)).or_insert(0usize) += 1;
     });
     for (r, room) in b.plan.rooms.iter().enumerate() {
         println!("{:>7}  {:20} {:5.1} m2", rooms[r], room.name, room.area());
+        let mut list: Vec<_> = shares.iter().filter(|((q, _), _)| *q == Some(r)).collect();
+        list.sort_by_key(|(_, n)| std::cmp::Reverse(**n));
+        let text: Vec<_> =
+            list.iter().map(|((_, p), n)| format!("{} {n}", b.parts[*p].name)).collect();
+        println!("           {}", text.join(", "));
     }
     let inside: usize = rooms[..b.plan.rooms.len()].iter().sum();
     println!(

@@ -137,7 +137,7 @@ fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
     }
     let e = w / 2.0 - 0.002;
     m.add(rounded("stone.sill", v(-e, 0.01, 0.001), v(e, t / 2.0 + 0.04, 0.026), 0.008, 1));
-    m.add(rounded("metal.steel", v(-e, -t / 2.0 - 0.04, 0.001), v(e, -0.075, 0.016), 0.004, 1));
+    m.add(cuboid("metal.steel", v(-e, -t / 2.0 - 0.04, 0.001), v(e, -0.075, 0.016)));
     m
 }
 
@@ -211,11 +211,9 @@ fn leaf_mesh(paint: Paint) -> Mesh {
         // Two raised panels with a moulding.
         for (z0, z1) in [(0.16, 0.88), (1.14, 1.94)] {
             let (x0, x1) = (0.13, w - 0.13);
-            let bar = 0.03;
             let y = |a: f64, b: f64| if side > 0.0 { (a, b) } else { (-b, -a) };
-            m.add(frame(paint, (x0, z0, x1, z1), bar, y(t + 0.0005, t + 0.012)));
             let (a, b) = y(t + 0.0005, t + 0.007);
-            m.add(rounded(paint, v(x0 + 0.06, a, z0 + 0.06), v(x1 - 0.06, b, z1 - 0.06), 0.003, 1));
+            m.add(rounded(paint, v(x0, a, z0), v(x1, b, z1), 0.006, 1));
         }
         let (x, z) = (w - 0.065, 1.02);
         let y = t * side;

@@ -114,8 +114,10 @@ fn windows(lorry: &mut Removal<'_>) {
 // Pieces that several rooms share, by name.
 
 fn office_chair(s: &mut Site<'_, '_>, cloth: Paint, at: (f64, f64), to: (f64, f64)) {
+    // Leather has arms.
+    let arms = cloth.starts_with("leather");
     let name = format!("office-chair-{}", cloth.rsplit('.').next().unwrap_or(cloth));
-    s.loose(0.05, 24.0).seat(&name, || seating::office_chair(cloth, true), at, to);
+    s.loose(0.05, 24.0).seat(&name, || seating::office_chair(cloth, arms), at, to);
     s.loose(0.0, 0.0);
 }
 
@@ -353,7 +355,6 @@ fn lobby(s: &mut Site<'_, '_>) {
     let rng = s.stream("coats");
     s.stand("coat-stand", || decor::coat_stand(rng), 4.22, 4.5, 30.0);
     snake_plant(s, 1.1, 0.3);
-    snake_plant(s, 3.55, 0.3);
     picture(
         s,
         North,
@@ -376,7 +377,7 @@ fn office_1(s: &mut Site<'_, '_>) {
     computer(s, 3.58, 3.1, -90.0);
     mug(s, "ceramic.red", 3.4, 2.5, 0.741);
     s.rest("desk-lamp", || decor::desk_lamp("lacquer.red"), (3.72, 2.35, 0.741), 90.0);
-    bookcase(s, West, "bookcase-office-1", 3.0, (1.0, 1.65), 4);
+    bookcase(s, West, "bookcase-office-1", 3.0, (1.0, 1.3), 3);
     basket(s, 2.62, 4.6);
     snake_plant(s, 0.4, 0.4);
     picture(
@@ -410,7 +411,6 @@ fn office_2(s: &mut Site<'_, '_>) {
     );
     pot_plant(s, 3.82, 2.5, 0.787);
     s.rest("globe", decor::globe, (3.8, 1.75, 0.787), 40.0);
-    snake_plant(s, 3.7, 0.5);
     picture(
         s,
         West,
@@ -521,7 +521,6 @@ fn meeting(s: &mut Site<'_, '_>) {
     }
     papers(s, x + 0.4, y - 0.2, 0.741, 60.0);
     mug(s, "ceramic.ochre", x - 0.3, y + 0.35, 0.741);
-    flowers(s, x, y, 0.741);
     s.against(North, "whiteboard", || decor::whiteboard(2.4, 1.2), 2.2, 1.55);
     s.against(
         East,
@@ -546,11 +545,9 @@ fn meeting(s: &mut Site<'_, '_>) {
 
 /// 3.1 x 4.8, unlit; door: south 1.0 (leaf inside).
 fn archive(s: &mut Site<'_, '_>) {
-    for (name, side, along, w) in [
-        ("rack-archive-1", West, 2.7, 2.2),
-        ("rack-archive-2", East, 1.4, 1.9),
-        ("rack-archive-3", East, 3.4, 1.9),
-    ] {
+    for (name, side, along, w) in
+        [("rack-archive-1", West, 2.7, 2.2), ("rack-archive-2", East, 2.6, 2.2)]
+    {
         let rng = s.stream(name);
         s.against(side, name, || storage::rack(w, 2.1, 6, rng), along, 0.0);
     }
@@ -625,7 +622,6 @@ fn studio(s: &mut Site<'_, '_>) {
     }
     papers(s, 2.2, 2.45, 0.741, 5.0);
     mug(s, "ceramic.green", 3.72, 3.5, 0.741);
-    bookcase(s, North, "bookcase-studio", 1.2, (1.2, 1.25), 3);
     s.against(
         North,
         "sideboard-studio",
@@ -677,7 +673,6 @@ fn washroom(s: &mut Site<'_, '_>) {
     }
     s.against(North, "towel-rail-blue", || wet::towel_rail("fabric.blue"), 3.0, 0.6);
     basket(s, 3.6, 2.95);
-    snake_plant(s, 4.4, 2.75);
 }
 
 /// 11.9 x 4.85; door: south 6.0.
@@ -1048,7 +1043,6 @@ fn atelier(s: &mut Site<'_, '_>) {
     s.rest("desk-lamp", || decor::desk_lamp("lacquer.red"), (2.9, 3.75, 0.752), 20.0);
     let rng = s.stream("rack");
     s.against(West, "rack-atelier", || storage::rack(2.0, 1.9, 5, rng), 8.6, 0.0);
-    bookcase(s, West, "bookcase-atelier", 3.6, (1.2, 1.25), 3);
     picture(
         s,
         West,
@@ -1066,7 +1060,6 @@ fn atelier(s: &mut Site<'_, '_>) {
         0.0,
     );
     rubber_tree(s, 4.3, 0.65);
-    palm(s, 4.2, 11.2);
     s.loose(0.05, 20.0).stand("arc-lamp", decor::arc_lamp, 0.7, 11.3, 20.0);
     s.loose(0.0, 0.0);
 }
@@ -1317,7 +1310,7 @@ fn games(s: &mut Site<'_, '_>) {
         (1.6, 0.8),
     );
     s.stand("floor-lamp", || decor::floor_lamp("metal.brass", "shade"), 7.05, 0.35, 0.0);
-    palm(s, 0.7, 4.1);
+    snake_plant(s, 0.5, 4.4);
     rubber_tree(s, 11.25, 0.65);
 }
 
@@ -1330,7 +1323,6 @@ fn home_hall(s: &mut Site<'_, '_>) {
         3.0,
         0.0,
     );
-    flowers(s, 2.7, 1.65, 0.787);
     s.against(North, "mirror-hall", || decor::mirror("wood.oak", 0.9, 1.4), 3.0, 1.7);
     rug(s, "runner", ["fabric.teal", "fabric.navy", "fabric.cream"], (3.2, 0.9), (5.5, 0.85), 0.0);
     picture(

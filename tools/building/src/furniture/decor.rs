@@ -178,7 +178,7 @@ pub fn floor_lamp(metal: Paint, shade: Paint) -> Mesh {
 
 /// A lampshade: a thin closed wall between two radii.
 fn drum(paint: Paint, upper: f64, lower: f64, height: f64) -> Mesh {
-    let segments = 40;
+    let segments = 24;
     sheet(paint, (segments, 6), (true, true), |u, t| {
         // Around the profile: outside up, inside down.
         let ring = [
@@ -291,10 +291,10 @@ pub fn desk_lamp(paint: Paint) -> Mesh {
 pub fn picture(frame: Paint, colours: [Paint; 3], width: f64, height: f64, mut rng: Rng) -> Mesh {
     let (w, h, bar) = (width / 2.0, height / 2.0, 0.03);
     let mut m = all([
-        rounded(frame, v(-w, -0.024, -h), v(w, 0.0, -h + bar), 0.005, 1),
-        rounded(frame, v(-w, -0.024, h - bar), v(w, 0.0, h), 0.005, 1),
-        rounded(frame, v(-w, -0.024, -h + bar), v(-w + bar, 0.0, h - bar), 0.005, 1),
-        rounded(frame, v(w - bar, -0.024, -h + bar), v(w, 0.0, h - bar), 0.005, 1),
+        cuboid(frame, v(-w, -0.024, -h), v(w, 0.0, -h + bar)),
+        cuboid(frame, v(-w, -0.024, h - bar), v(w, 0.0, h)),
+        cuboid(frame, v(-w, -0.024, -h + bar), v(-w + bar, 0.0, h - bar)),
+        cuboid(frame, v(w - bar, -0.024, -h + bar), v(w, 0.0, h - bar)),
         cuboid("paper", v(-w + bar, -0.01, -h + bar), v(w - bar, -0.001, h - bar)),
     ]);
     let (a, b) = (w - bar - 0.07_f64.min(width * 0.1), h - bar - 0.07_f64.min(height * 0.1));
@@ -341,7 +341,7 @@ pub fn rug(
     depth: f64,
     mut rng: Rng,
 ) -> Mesh {
-    let (nx, ny) = (18, 14);
+    let (nx, ny) = (13, 10);
     let waves = [rng.range(0.0, TAU), rng.range(0.0, TAU)];
     let mut m = plate(ground, (nx, ny), 0.008, |a, b| {
         let (x, y) = ((a - 0.5) * width, (b - 0.5) * depth);
@@ -627,7 +627,7 @@ pub fn book_pile(count: usize, mut rng: Rng) -> Mesh {
     for _ in 0..count {
         let t = rng.range(0.018, 0.042);
         let (d, h) = (rng.range(0.13, 0.17), rng.range(0.19, 0.24));
-        let b = crate::furniture::storage::book(false, rng.pick(crate::palette::BOOKS), t, d, h);
+        let b = crate::furniture::storage::book(rng.pick(crate::palette::BOOKS), t, d, h);
         m.add(b.at(0.0, -d / 2.0, -h / 2.0).rolled(90.0).turned(rng.around(20.0)).at(
             0.0,
             0.0,
@@ -925,7 +925,7 @@ pub fn toys(mut rng: Rng) -> Mesh {
     for k in 0..5 {
         let z = 0.02 + 0.045 * f64::from(k);
         m.add(
-            ring(paints[k as usize], 0.085 - 0.013 * f64::from(k), 0.022, 18, 8).at(0.55, 0.1, z),
+            ring(paints[k as usize], 0.085 - 0.013 * f64::from(k), 0.022, 14, 6).at(0.55, 0.1, z),
         );
     }
     m.add(cylinder("wood.birch", 0.012, 0.27, 8).at(0.55, 0.1, 0.0));

@@ -36,7 +36,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
     m.add(soft("plastic.black", 0.22, 0.2, 0.035, 0.012, 1).at(0.0, 0.01, 0.42));
     // The seat dips a little and rolls off at the front.
     m.add(
-        cushion(cloth, v(0.49, 0.47, 0.075), 0.034, 0.006, 1, 4)
+        cushion(cloth, v(0.49, 0.47, 0.075), 0.034, 0.006, if arms { 2 } else { 1 }, 4)
             .map(|p| {
                 let front = (-p.y - 0.12).max(0.0);
                 v(p.x, p.y, p.z - front * front * 1.6 + p.x * p.x * 0.25)
@@ -44,7 +44,15 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
             .at(0.0, -0.01, 0.45),
     );
     // The back curves around the sitter and leans.
-    let back = cushion(cloth, v(0.45, 0.055, 0.5), 0.026, 0.004, 1, 5).map(|p| {
+    let back = cushion(
+        cloth,
+        v(0.45, 0.055, 0.5),
+        0.026,
+        0.004,
+        if arms { 2 } else { 1 },
+        if arms { 5 } else { 3 },
+    )
+    .map(|p| {
         let s = (p.z / 0.5 - 0.35) * PI;
         v(
             p.x * (1.0 - 0.12 * (p.z / 0.5 - 0.4).raised(2)),
@@ -184,14 +192,14 @@ pub fn stool(wood: Paint, cloth: Paint, height: f64) -> Mesh {
         ));
     }
     let z = height * 0.35;
-    m.add(ring("metal.steel", 0.2 - 0.09 * z / height, 0.008, 32, 8).at(0.0, 0.0, z));
+    m.add(ring("metal.steel", 0.2 - 0.09 * z / height, 0.008, 18, 5).at(0.0, 0.0, z));
     m
 }
 
 /// A deep armchair on tapered legs.
 pub fn armchair(cloth: Paint, wood: Paint) -> Mesh {
     let mut m = Mesh::new();
-    m.add(rounded(cloth, v(-0.36, -0.34, 0.16), v(0.36, 0.34, 0.3), 0.04, 3));
+    m.add(rounded(cloth, v(-0.36, -0.34, 0.16), v(0.36, 0.34, 0.3), 0.04, 2));
     m.add(cushion(cloth, v(0.54, 0.6, 0.16), 0.055, 0.025, 1, 4).at(0.0, -0.06, 0.29));
     m.add(
         cushion(cloth, v(0.54, 0.17, 0.52), 0.06, 0.03, 1, 4)
@@ -200,11 +208,11 @@ pub fn armchair(cloth: Paint, wood: Paint) -> Mesh {
             .at(0.0, 0.225, 0.36),
     );
     m.add(
-        rounded(cloth, v(-0.36, 0.24, 0.28), v(0.36, 0.37, 0.74), 0.05, 4)
+        rounded(cloth, v(-0.36, 0.24, 0.28), v(0.36, 0.37, 0.74), 0.05, 2)
             .map(|p| v(p.x, p.y + (p.z - 0.28) * 0.14, p.z)),
     );
     for s in [-1.0, 1.0] {
-        let arm = rounded(cloth, v(-0.065, -0.36, 0.0), v(0.065, 0.3, 0.33), 0.055, 4)
+        let arm = rounded(cloth, v(-0.065, -0.36, 0.0), v(0.065, 0.3, 0.33), 0.055, 2)
             .map(|p| v(p.x, p.y, p.z + 0.03 * (p.y + 0.36) / 0.66));
         m.add(arm.at(0.34 * s, 0.0, 0.24));
         for y in [-0.28, 0.28] {
@@ -353,7 +361,7 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
     m.add(rounded("fabric.white", v(-w, -l + 0.005, 0.2), v(w, l - 0.035, 0.44), 0.05, 3));
     // The duvet falls over three sides in soft folds, and is turned back below the pillows.
     let waves = [rng.range(0.0, 6.0), rng.range(0.0, 6.0), rng.range(0.0, 6.0)];
-    let (nu, nv) = (20, 16);
+    let (nu, nv) = (18, 13);
     m.add(plate(cover, (nu, nv), 0.03, |a, b| {
         let x = (a - 0.5) * (2.0 * w + 0.5);
         let y = -l - 0.06 + b * 1.5;

@@ -7,9 +7,34 @@ use crate::mesh::{
 use crate::palette::BOOKS;
 use crate::rng::Rng;
 
-/// A book standing with its spine to -y: thickness, depth, height. A cover around a block of
-/// pages that is set back on three sides; on a shelf only the top of the pages is made.
-pub fn book(shelved: bool, cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
+/// A book on a shelf, its spine to -y: thickness, depth, height. One closed block whose top shows
+/// the pages.
+fn shelved(cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
+    let e = t / 2.0;
+    let mut m = Mesh::new();
+    for z in [0.0, h] {
+        for (x, y) in
+            [(-e, d), (-e, 0.0), (-e * 0.55, -0.0045), (e * 0.55, -0.0045), (e, 0.0), (e, d)]
+        {
+            m.point(v(x, y, z));
+        }
+    }
+    for i in 0..6u32 {
+        let j = (i + 1) % 6;
+        m.quad([i, j, j + 6, i + 6], cover);
+    }
+    for (a, b, c, paint) in
+        [(1, 2, 3, cover), (1, 3, 4, cover), (0, 1, 4, "paper"), (0, 4, 5, "paper")]
+    {
+        m.triangle(a, c, b, paint);
+        m.triangle(a + 6, b + 6, c + 6, paint);
+    }
+    m
+}
+
+/// A book that may be seen from all sides, its spine to -y: thickness, depth, height. A cover
+/// around a block of pages that is set back on three sides.
+pub fn book(cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
     let (e, b) = (t / 2.0, 0.0024_f64.min(t * 0.12));
     let mut m = Mesh::new();
     // A U in plan: around the outside, then back along the inside. The spine is a little round.
@@ -42,14 +67,11 @@ pub fn book(shelved: bool, cover: Paint, t: f64, d: f64, h: f64) -> Mesh {
         m.triangle(a, c, b, cover);
         m.triangle(a + 10, b + 10, c + 10, cover);
     }
-    let (low, high) = (v(-e + b + 0.0001, 0.0042, 0.003), v(e - b - 0.0001, d - 0.004, h - 0.004));
-    if shelved {
-        m.add(sheet("paper", (1, 1), (false, false), |a, b| {
-            v(low.x + (high.x - low.x) * a, low.y + (high.y - low.y) * b, high.z)
-        }));
-    } else {
-        m.add(cuboid("paper", low, high));
-    }
+    m.add(cuboid(
+        "paper",
+        v(-e + b + 0.0001, 0.0042, 0.003),
+        v(e - b - 0.0001, d - 0.004, h - 0.004),
+    ));
     m
 }
 
@@ -75,7 +97,7 @@ pub fn books(width: f64, height: f64, depth: f64, rng: &mut Rng) -> Mesh {
                 if z + t > height - 0.02 {
                     break;
                 }
-                let b = book(false, rng.pick(BOOKS), t, d, h).rolled(90.0).turned(rng.around(5.0));
+                let b = book(rng.pick(BOOKS), t, d, h).rolled(90.0).turned(rng.around(5.0));
                 m.add(b.at(x + 0.005, 0.012, z + t / 2.0 + 0.0005));
                 z += t;
             }
@@ -95,7 +117,7 @@ pub fn books(width: f64, height: f64, depth: f64, rng: &mut Rng) -> Mesh {
                 break;
             }
             let y = 0.008 + rng.range(0.0, 0.014) + (depth - 0.03 - d).max(0.0) * 0.15;
-            let b = book(true, paint, t, d, h);
+            let b = shelved(paint, t, d, h);
             let lean = if set == 1 && rng.unit() < 0.07 && x + h * 0.2 + t < end {
                 rng.range(6.0, 11.0)
             } else {

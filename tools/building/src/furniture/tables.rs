@@ -15,7 +15,7 @@ fn tapered(paint: Paint, x: f64, y: f64, height: f64, (low, high): (f64, f64), s
 
 /// A table with four legs, `width` by `depth`, `height` to its top.
 pub fn table(wood: Paint, width: f64, depth: f64, height: f64) -> Mesh {
-    let outline = superellipse(width / 2.0, depth / 2.0, 14.0, 32);
+    let outline = superellipse(width / 2.0, depth / 2.0, 14.0, 24);
     let mut m = top(wood, &outline, height - 0.032, height);
     let (x, y) = (width / 2.0 - 0.07, depth / 2.0 - 0.07);
     for s in [-1.0, 1.0] {
@@ -67,8 +67,8 @@ pub fn round_table(wood: Paint, foot: Paint, radius: f64, height: f64) -> Mesh {
 
 /// A low table with a rounded top and a shelf.
 pub fn coffee_table(wood: Paint, width: f64, depth: f64) -> Mesh {
-    let mut m = top(wood, &superellipse(width / 2.0, depth / 2.0, 3.2, 28), 0.36, 0.395);
-    m.add(top(wood, &superellipse(width / 2.0 - 0.1, depth / 2.0 - 0.09, 3.2, 24), 0.14, 0.158));
+    let mut m = top(wood, &superellipse(width / 2.0, depth / 2.0, 3.2, 24), 0.36, 0.395);
+    m.add(top(wood, &superellipse(width / 2.0 - 0.1, depth / 2.0 - 0.09, 3.2, 20), 0.14, 0.158));
     for (s, t) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
         m.add(tapered(
             wood,
@@ -123,7 +123,7 @@ pub fn drawers(paint: Paint, handle: Paint, (w, d, h): (f64, f64, f64), rows: us
 /// A desk with a drawer unit; the sitter is at -y.
 pub fn desk(wood: Paint, body: Paint, width: f64) -> Mesh {
     let d = 0.76;
-    let mut m = top(wood, &superellipse(width / 2.0, d / 2.0, 20.0, 32), 0.71, 0.74);
+    let mut m = top(wood, &superellipse(width / 2.0, d / 2.0, 20.0, 16), 0.71, 0.74);
     for x in [-width / 2.0 + 0.05, width / 2.0 - 0.05] {
         for y in [-d / 2.0 + 0.06, d / 2.0 - 0.06] {
             m.add(soft("metal.dark", 0.045, 0.045, 0.709, 0.006, 1).at(x, y, 0.0));

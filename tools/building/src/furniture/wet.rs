@@ -36,7 +36,7 @@ fn bowl(paint: Paint, x: f64, y: f64, deep: f64, power: f64) -> Mesh {
         (0.78, -deep * 0.88, 1.0),
         (0.55, -deep, 1.0),
     ];
-    let outline = superellipse(x, y, power, 28);
+    let outline = superellipse(x, y, power, 20);
     let mut m = Mesh::new();
     let mut rings: Vec<Vec<u32>> = Vec::new();
     for (f, z, _) in profile {
@@ -156,7 +156,7 @@ pub fn base_unit(front: Paint, worktop: Paint, width: f64, kind: u32) -> Mesh {
         for (x, y, r) in
             [(-0.13, -0.11, 0.08), (0.13, -0.11, 0.065), (-0.13, 0.14, 0.065), (0.13, 0.14, 0.08)]
         {
-            m.add(ring("metal.steel", r, 0.002, 32, 6).at(x, y, 0.9015));
+            m.add(ring("metal.steel", r, 0.002, 16, 4).at(x, y, 0.9015));
         }
     }
     m
@@ -346,7 +346,7 @@ pub fn washbasin(front: Paint, width: f64) -> Mesh {
 pub fn toilet() -> Mesh {
     let mut m = bowl("ceramic.white", 0.19, 0.24, 0.17, 2.4).at(0.0, -0.12, 0.4);
     // The foot narrows below the bowl.
-    let outline = superellipse(0.19, 0.24, 2.4, 24);
+    let outline = superellipse(0.19, 0.24, 2.4, 20);
     let foot = [
         (0.0, 0.001),
         (0.6, 0.0),
@@ -361,7 +361,7 @@ pub fn toilet() -> Mesh {
     let seat = [(0.66, 0.0), (1.02, 0.0), (1.03, 0.01), (0.98, 0.02), (0.68, 0.02)];
     m.add(bands("plastic.white", &outline, &seat, true).at(0.0, -0.12, 0.408));
     m.add(
-        top("plastic.white", &superellipse(0.19, 0.23, 2.4, 24), 0.0, 0.02)
+        top("plastic.white", &superellipse(0.19, 0.23, 2.4, 20), 0.0, 0.02)
             .tipped(97.0)
             .at(0.0, 0.1, 0.66),
     );
@@ -457,7 +457,7 @@ pub fn cubicle_wall(paint: Paint, long: f64) -> Mesh {
 pub fn washing_machine() -> Mesh {
     let mut m = soft("lacquer.white", 0.6, 0.58, 0.85, 0.012, 1);
     let face = |m: Mesh| m.tipped(90.0);
-    m.add(face(ring("metal.chrome", 0.17, 0.022, 48, 12)).at(0.0, -0.296, 0.42));
+    m.add(face(ring("metal.chrome", 0.17, 0.022, 24, 7)).at(0.0, -0.296, 0.42));
     m.add(
         face(lathe(
             "screen",
