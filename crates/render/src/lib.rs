@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use clap::{Args, ValueEnum};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
-use enf_illumination::{Gather, IrradianceCache, Kernel};
+use enf_illumination::{Gather, IrradianceCache, Kernel, PhotonMap};
 use enf_image::Film;
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
@@ -517,7 +517,7 @@ impl Driver<'_> {
                     let bytes = IrradianceCache::bytes(photons);
                     let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
                     let map = self.readers.maps.map(&extent, &self.budget, "photon map")?;
-                    let cache = IrradianceCache::new(photons);
+                    let cache = IrradianceCache::new(&PhotonMap::from_blob(&map)?);
                     Ok(RoomMap { map, cache, _reservation: reservation })
                 };
                 match attempt() {

@@ -8,7 +8,7 @@
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use enf_layout::photon::{PHOTON_AXIS_MASK, PHOTON_HALO, PhotonRecord};
+use enf_layout::photon::PHOTON_HALO;
 use glam::Vec3;
 
 use super::gather::{Gather, GatherScratch, direction};
@@ -27,7 +27,7 @@ const SLAB_FLOOR_M: f32 = 0.004;
 
 /// One place's irradiance; `blue` has its high word set when it is there.
 #[derive(Default)]
-struct Place {
+struct Value {
     red: AtomicU32,
     green: AtomicU32,
     blue: AtomicU64,
@@ -35,9 +35,24 @@ struct Place {
 
 const THERE: u64 = 1 << 32;
 
+/// Where a place is. Places whose normals have the same largest axis make a kd-tree of their own: a query
+/// never looks at the table's legs to find the table's top.
+#[derive(Clone, Copy)]
+struct Place {
+    position: [f32; 3],
+    /// Octahedral normal, and the node's axis above it.
+    normal_axis: u32,
+    /// The photon in the map's tree.
+    photon: u32,
+}
+
 /// Irradiance at every fourth photon of one map.
 pub struct IrradianceCache {
+    /// The trees one after the other: the middle of a range is its root.
     places: Vec<Place>,
+    values: Vec<Value>,
+    /// Where the six trees begin, and the end.
+    trees: [u32; 7],
 }
 
 /// A place that was found: squared distance, then index.
@@ -50,14 +65,31 @@ struct Near {
 impl IrradianceCache {
     /// Bytes of a cache for a map of this many photons.
     pub fn bytes(photons: usize) -> u64 {
-        (photons.div_ceil(STRIDE) * size_of::<Place>()) as u64
+        (photons.div_ceil(STRIDE) * (size_of::<Place>() + size_of::<Value>())) as u64
     }
 
-    /// An empty cache for a map of this many photons; the caller has the memory reserved.
-    pub fn new(photons: usize) -> Self {
-        let mut places = Vec::new();
-        places.resize_with(photons.div_ceil(STRIDE), Place::default);
-        Self { places }
+    /// An empty cache for a map; the caller has the memory reserved.
+    pub fn new(map: &PhotonMap<'_>) -> Self {
+        let mut places = Vec::with_capacity(map.len().div_ceil(STRIDE));
+        let mut trees = [0; 7];
+        for bin in 0..6 {
+            let first = places.len();
+            for (i, photon) in map.tree().iter().enumerate().step_by(STRIDE) {
+                let [.., n0, n1, n2] = photon.directions;
+                if photon.flags & PHOTON_HALO == 0 && bin_of(direction(n0, n1, n2)) == bin {
+                    places.push(Place {
+                        position: photon.position(),
+                        normal_axis: u32::from_le_bytes([n0, n1, n2, 0]),
+                        photon: i as u32,
+                    });
+                }
+            }
+            plant(&mut places[first..]);
+            trees[bin + 1] = places.len() as u32;
+        }
+        let mut values = Vec::new();
+        values.resize_with(places.len(), Value::default);
+        Self { places, values, trees }
     }
 
     /// Irradiance at `point` (m) with unit `normal`, W/m²: the mean of the nearest places, or, where none is near, a
@@ -71,17 +103,22 @@ impl IrradianceCache {
         portals: &PortalSet<'_>,
         scratch: &mut GatherScratch,
     ) -> [f32; 3] {
-        let tree = map.tree();
-        let mut near = [Near { d2: f32::INFINITY, index: u32::MAX }; PLACES];
         // Places as far away as a gather may reach say nothing about here.
         let reach = gather.radius.min(map.radius()) * 0.5;
-        near[PLACES - 1].d2 = reach * reach;
-        search(tree, 0, point, normal, &mut near);
+        let mut search = Search {
+            places: &self.places,
+            point,
+            normal,
+            near: [Near { d2: reach * reach, index: u32::MAX }; PLACES],
+        };
+        let bin = bin_of(normal);
+        search.range(self.trees[bin] as usize, self.trees[bin + 1] as usize, [0.0; 3]);
+        let near = &search.near;
         let found = near.iter().take_while(|n| n.index != u32::MAX).count();
-        if found < 2 || near[0].d2 >= near[found - 1].d2 {
+        let farthest = near[PLACES - 1].d2;
+        if found < 2 || near[0].d2 >= farthest {
             return map.irradiance(point, normal, gather, portals, scratch).rgb;
         }
-        let farthest = if found == PLACES { near[PLACES - 1].d2 } else { reach * reach };
         let (mut sum, mut total) = (Vec3::ZERO, 0.0f32);
         for place in &near[..found] {
             let weight = 1.0 - place.d2 / farthest;
@@ -101,89 +138,137 @@ impl IrradianceCache {
         portals: &PortalSet<'_>,
         scratch: &mut GatherScratch,
     ) -> Vec3 {
-        let place = &self.places[index / STRIDE];
-        let blue = place.blue.load(Ordering::Acquire);
+        let value = &self.values[index];
+        let blue = value.blue.load(Ordering::Acquire);
         if blue & THERE != 0 {
             return Vec3::new(
-                f32::from_bits(place.red.load(Ordering::Relaxed)),
-                f32::from_bits(place.green.load(Ordering::Relaxed)),
+                f32::from_bits(value.red.load(Ordering::Relaxed)),
+                f32::from_bits(value.green.load(Ordering::Relaxed)),
                 f32::from_bits(blue as u32),
             );
         }
-        let photon = &map.tree()[index];
-        let [.., n0, n1, n2] = photon.directions;
-        let normal = direction(n0, n1, n2).normalize();
-        let rgb = map.irradiance(position(photon), normal, gather, portals, scratch).rgb;
+        let place = &self.places[index];
+        let normal = place.normal().normalize();
+        let point = Vec3::from(place.position);
+        let rgb = map.irradiance(point, normal, gather, portals, scratch).rgb;
         // Two threads may both have computed it; they write the same bits.
-        place.red.store(rgb[0].to_bits(), Ordering::Relaxed);
-        place.green.store(rgb[1].to_bits(), Ordering::Relaxed);
-        place.blue.store(THERE | u64::from(rgb[2].to_bits()), Ordering::Release);
+        value.red.store(rgb[0].to_bits(), Ordering::Relaxed);
+        value.green.store(rgb[1].to_bits(), Ordering::Relaxed);
+        value.blue.store(THERE | u64::from(rgb[2].to_bits()), Ordering::Release);
         Vec3::from(rgb)
     }
 }
 
-fn position(photon: &PhotonRecord) -> Vec3 {
-    Vec3::from(photon.position_bits.map(f32::from_bits))
-}
-
-/// The nearest places of the subtree at `node`, nearer child first; equal distances go by index.
-fn search(
-    tree: &[PhotonRecord],
-    node: usize,
-    point: Vec3,
-    normal: Vec3,
-    near: &mut [Near; PLACES],
-) {
-    let Some(photon) = tree.get(node) else { return };
-    let axis = usize::from(photon.flags & PHOTON_AXIS_MASK).min(2);
-    let offset = point[axis] - f32::from_bits(photon.position_bits[axis]);
-    let nearer = 2 * node + 1 + usize::from(offset > 0.0);
-    search(tree, nearer, point, normal, near);
-    if node.is_multiple_of(STRIDE) && photon.flags & PHOTON_HALO == 0 {
-        consider(photon, node as u32, point, normal, near);
+impl Place {
+    fn normal(&self) -> Vec3 {
+        let [n0, n1, n2, _] = self.normal_axis.to_le_bytes();
+        direction(n0, n1, n2)
     }
-    if offset * offset <= near[PLACES - 1].d2 {
-        search(tree, 4 * node + 3 - nearer, point, normal, near);
+
+    fn axis(&self) -> usize {
+        (self.normal_axis >> 24) as usize
     }
 }
 
-fn consider(
-    photon: &PhotonRecord,
-    index: u32,
+/// The axis along which a direction points most, twice, plus 1 if it points backwards.
+fn bin_of(direction: Vec3) -> usize {
+    let size = direction.abs();
+    let axis = if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    };
+    2 * axis + usize::from(direction[axis] < 0.0)
+}
+
+/// Makes a kd-tree of a range: its middle is the root, split along its box's longest side.
+fn plant(places: &mut [Place]) {
+    if places.len() < 2 {
+        return;
+    }
+    let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
+    for place in places.iter() {
+        for c in 0..3 {
+            min[c] = min[c].min(place.position[c]);
+            max[c] = max[c].max(place.position[c]);
+        }
+    }
+    let size = [0, 1, 2].map(|c| max[c] - min[c]);
+    let axis = (0..3).fold(0, |best, c| if size[c] > size[best] { c } else { best });
+    let middle = places.len() / 2;
+    places.select_nth_unstable_by(middle, |a, b| {
+        a.position[axis].total_cmp(&b.position[axis]).then(a.photon.cmp(&b.photon))
+    });
+    places[middle].normal_axis |= (axis as u32) << 24;
+    let (before, after) = places.split_at_mut(middle);
+    plant(before);
+    plant(&mut after[1..]);
+}
+
+struct Search<'a> {
+    places: &'a [Place],
     point: Vec3,
     normal: Vec3,
-    near: &mut [Near; PLACES],
-) {
-    let way = position(photon) - point;
-    let d2 = way.length_squared();
-    if d2 > near[PLACES - 1].d2 || d2.is_nan() {
-        return;
+    near: [Near; PLACES],
+}
+
+impl Search<'_> {
+    /// Looks through a range, nearer half first; `beyond` is how far its box is from the point, per axis.
+    fn range(&mut self, first: usize, end: usize, beyond: [f32; 3]) {
+        if first >= end {
+            return;
+        }
+        let middle = first + (end - first) / 2;
+        let place = self.places[middle];
+        let axis = place.axis();
+        let offset = self.point[axis] - place.position[axis];
+        let (nearer, farther) = if offset > 0.0 {
+            ((middle + 1, end), (first, middle))
+        } else {
+            ((first, middle), (middle + 1, end))
+        };
+        self.range(nearer.0, nearer.1, beyond);
+        self.consider(&place, middle as u32);
+        let mut far = beyond;
+        far[axis] = offset;
+        if far[0] * far[0] + far[1] * far[1] + far[2] * far[2] <= self.near[PLACES - 1].d2 {
+            self.range(farther.0, farther.1, far);
+        }
     }
-    let height = way.dot(normal);
-    if height * height > (SLAB_SLOPE * SLAB_SLOPE * d2).max(SLAB_FLOOR_M * SLAB_FLOOR_M) {
-        return;
+
+    fn consider(&mut self, place: &Place, index: u32) {
+        let way = Vec3::from(place.position) - self.point;
+        let d2 = way.length_squared();
+        let near = &mut self.near;
+        if (d2, index) >= (near[PLACES - 1].d2, near[PLACES - 1].index) || d2.is_nan() {
+            return;
+        }
+        let height = way.dot(self.normal);
+        if height * height > (SLAB_SLOPE * SLAB_SLOPE * d2).max(SLAB_FLOOR_M * SLAB_FLOOR_M) {
+            return;
+        }
+        let surface = place.normal();
+        let cosine = surface.dot(self.normal);
+        let least = NORMAL_COSINE * NORMAL_COSINE * surface.length_squared();
+        if cosine <= 0.0 || cosine * cosine < least {
+            return;
+        }
+        let mut at = PLACES - 1;
+        while at > 0 && (d2, index) < (near[at - 1].d2, near[at - 1].index) {
+            near[at] = near[at - 1];
+            at -= 1;
+        }
+        near[at] = Near { d2, index };
     }
-    let [.., n0, n1, n2] = photon.directions;
-    let surface = direction(n0, n1, n2);
-    let cosine = surface.dot(normal);
-    if cosine <= 0.0 || cosine * cosine < NORMAL_COSINE * NORMAL_COSINE * surface.length_squared() {
-        return;
-    }
-    let mut at = PLACES - 1;
-    if d2 == near[at].d2 && index > near[at].index {
-        return;
-    }
-    while at > 0 && (d2, index) < (near[at - 1].d2, near[at - 1].index) {
-        near[at] = near[at - 1];
-        at -= 1;
-    }
-    near[at] = Near { d2, index };
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::photon_map::{Kernel, build_tree};
+    use enf_layout::photon::PhotonRecord;
     use enf_layout::{octahedral, rgbe};
 
     /// A unit square at z = 0 with photons from above, and one just below it that faces down.
@@ -222,7 +307,7 @@ mod tests {
         build_tree(&mut photons, &mut scratch, 1);
         let blob = PhotonMap::build_blob(&photons, 0, 0.5);
         let map = PhotonMap::from_blob(&blob).unwrap();
-        let cache = IrradianceCache::new(map.len());
+        let cache = IrradianceCache::new(&map);
         let gather = Gather { photons: 200, radius: 0.5, kernel: Kernel::Constant };
         let mut scratch = GatherScratch::new(200);
         let mut sums = [0.0f64; 2];
@@ -259,7 +344,7 @@ mod tests {
             .map(|i| Vec3::new(i as f32 / 100.0, (i * 37 % 100) as f32 / 100.0, 0.0))
             .collect();
         let mut all = |order: &mut dyn Iterator<Item = usize>| {
-            let cache = IrradianceCache::new(map.len());
+            let cache = IrradianceCache::new(&map);
             let mut out = vec![[0.0; 3]; points.len()];
             for i in order {
                 out[i] = cache.irradiance(

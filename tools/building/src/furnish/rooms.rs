@@ -549,7 +549,7 @@ fn archive(s: &mut Site<'_, '_>) {
         [("rack-archive-1", West, 2.7, 2.2), ("rack-archive-2", East, 2.6, 2.2)]
     {
         let rng = s.stream(name);
-        s.against(side, name, || storage::rack(w, 2.1, 6, rng), along, 0.0);
+        s.against(side, name, || storage::rack(w, 2.1, 5, rng), along, 0.0);
     }
     s.loose(0.03, 20.0);
     s.stand("carton", || storage::carton(0.38, 0.34, 0.28), 1.1, 4.15, 8.0);
@@ -600,8 +600,6 @@ fn kitchen(s: &mut Site<'_, '_>) {
     );
     let rng = s.stream("crate");
     s.against(South, "crate-apples", || storage::crate_of("fruit.apple", rng), 1.6, 0.0);
-    let rng = s.stream("crate-2");
-    s.against(South, "crate-oranges", || storage::crate_of("fruit.orange", rng), 2.25, 0.0);
 }
 
 /// 4.9 x 5.35; door: east 1.05 (leaf inside).
@@ -677,11 +675,11 @@ fn washroom(s: &mut Site<'_, '_>) {
 
 /// 11.9 x 4.85; door: south 6.0.
 fn library(s: &mut Site<'_, '_>) {
-    bookcase(s, South, "bookcase-library-1", 0.95, (1.2, 2.2), 6);
-    bookcase(s, South, "bookcase-library-2", 2.2, (1.2, 2.2), 6);
-    bookcase(s, South, "bookcase-library-3", 3.45, (1.2, 2.2), 6);
-    bookcase(s, North, "bookcase-library-4", 4.03, (1.1, 2.2), 6);
-    bookcase(s, North, "bookcase-library-5", 7.87, (1.1, 2.2), 6);
+    bookcase(s, South, "bookcase-library-1", 0.95, (1.2, 2.15), 5);
+    bookcase(s, South, "bookcase-library-2", 2.2, (1.2, 2.15), 5);
+    bookcase(s, South, "bookcase-library-3", 3.45, (1.2, 2.15), 5);
+    bookcase(s, North, "bookcase-library-4", 4.03, (1.1, 2.15), 5);
+    bookcase(s, North, "bookcase-library-5", 7.87, (1.1, 2.15), 5);
     s.table("reading-table", || tables::table("wood.walnut", 2.6, 1.0, 0.75), 8.6, 2.2, 0.0);
     for (x, y, ty) in [(7.9, 1.55, 2.2), (9.2, 1.5, 2.2), (7.95, 2.9, 2.2), (9.3, 2.9, 2.2)] {
         slat_chair(s, (x, y), (x, ty));
@@ -910,7 +908,7 @@ fn salon(s: &mut Site<'_, '_>) {
 
 /// 4.0 x 4.9; doors: west and east 1.2, north 3.1 (leaf inside).
 fn study(s: &mut Site<'_, '_>) {
-    bookcase(s, West, "bookcase-study-1", 2.7, (1.2, 2.2), 6);
+    bookcase(s, West, "bookcase-study-1", 2.7, (1.2, 2.15), 5);
     s.table("desk-walnut", || tables::desk("wood.walnut", "wood.walnut", 1.5), 2.2, 3.1, 180.0);
     office_chair(s, "leather.brown", (2.2, 3.85), (2.2, 3.0));
     s.rest("laptop", || decor::laptop("metal.steel"), (2.2, 3.15, 0.741), 180.0);
@@ -1041,8 +1039,6 @@ fn atelier(s: &mut Site<'_, '_>) {
     papers(s, 2.4, 3.5, 0.752, 0.0);
     papers(s, 3.3, 3.7, 0.752, 180.0);
     s.rest("desk-lamp", || decor::desk_lamp("lacquer.red"), (2.9, 3.75, 0.752), 20.0);
-    let rng = s.stream("rack");
-    s.against(West, "rack-atelier", || storage::rack(2.0, 1.9, 5, rng), 8.6, 0.0);
     picture(
         s,
         West,
@@ -1206,8 +1202,6 @@ fn child(s: &mut Site<'_, '_>) {
         (2.4, 2.5),
         0.0,
     );
-    let rng = s.stream("toys");
-    s.loose(0.1, 120.0).stand("toys", || decor::toys(rng), 2.4, 2.5, 0.0);
     s.loose(0.0, 0.0);
     picture(
         s,
@@ -1299,7 +1293,6 @@ fn games(s: &mut Site<'_, '_>) {
         0.0,
     );
     armchair(s, "leather.brown", (10.4, 1.5), (8.8, 1.2));
-    bookcase(s, South, "bookcase-games", 2.6, (1.2, 1.25), 3);
     picture(
         s,
         South,

@@ -24,7 +24,7 @@ pub fn pot(paint: Paint, radius: f64, height: f64) -> Mesh {
             (r - 0.018, height - 0.035),
             (0.0, height - 0.035),
         ],
-        14,
+        10,
     );
     m.add(lathe(
         "soil",
@@ -168,7 +168,7 @@ pub fn floor_lamp(metal: Paint, shade: Paint) -> Mesh {
     let mut m = lathe(
         metal,
         &[(0.0, 0.0), (0.14, 0.0), (0.145, 0.008), (0.13, 0.018), (0.02, 0.03), (0.0, 0.03)],
-        14,
+        10,
     );
     m.add(tube(metal, &[v(0.0, 0.0, 0.029), v(0.0, 0.0, 1.42)], 0.011, 6));
     m.add(drum(shade, 0.15, 0.21, 0.3).at(0.0, 0.0, 1.32));
@@ -178,7 +178,7 @@ pub fn floor_lamp(metal: Paint, shade: Paint) -> Mesh {
 
 /// A lampshade: a thin closed wall between two radii.
 fn drum(paint: Paint, upper: f64, lower: f64, height: f64) -> Mesh {
-    let segments = 24;
+    let segments = 18;
     sheet(paint, (segments, 6), (true, true), |u, t| {
         // Around the profile: outside up, inside down.
         let ring = [
@@ -256,7 +256,7 @@ pub fn table_lamp(body: Paint, shade: Paint) -> Mesh {
             (0.012, 0.33),
             (0.0, 0.33),
         ],
-        12,
+        8,
     );
     m.add(drum(shade, 0.1, 0.15, 0.2).at(0.0, 0.0, 0.28));
     m.add(ball("ceramic.white", 0.028, 8).at(0.0, 0.0, 0.36));
@@ -410,15 +410,15 @@ pub fn vase(paint: Paint, height: f64) -> Mesh {
             (0.17 * h, 0.74 * h),
             (0.0, 0.6 * h),
         ],
-        11,
+        8,
     )
 }
 
 /// A vase with tulips.
 pub fn flowers(paint: Paint, bloom: Paint, mut rng: Rng) -> Mesh {
     let mut m = vase(paint, 0.2);
-    for k in 0..7 {
-        let (s, c) = sin_cos(radians(51.0 * f64::from(k) + rng.around(12.0)));
+    for k in 0..6 {
+        let (s, c) = sin_cos(radians(60.0 * f64::from(k) + rng.around(12.0)));
         let (out, up) = (rng.range(0.03, 0.12), rng.range(0.32, 0.44));
         let path = curve(
             &[v(0.0, 0.0, 0.13), v(out * 0.3 * c, out * 0.3 * s, 0.25), v(out * c, out * s, up)],
@@ -487,7 +487,7 @@ pub fn fruit_bowl(paint: Paint, fruit: [Paint; 2], mut rng: Rng) -> Mesh {
             (0.05, 0.018),
             (0.0, 0.016),
         ],
-        15,
+        10,
     );
     for k in 0..7 {
         let (s, c) = sin_cos(TAU * f64::from(k) / 6.0);
@@ -511,7 +511,7 @@ pub fn place_setting() -> Mesh {
             (0.08, 0.009),
             (0.0, 0.007),
         ],
-        14,
+        10,
     );
     for (x, w) in [(-0.17, 0.011), (0.165, 0.009), (0.19, 0.012)] {
         m.add(rounded(
@@ -565,29 +565,29 @@ pub fn computer() -> Mesh {
 
 fn keyboard() -> Mesh {
     let mut m = rounded("plastic.grey", v(-0.215, -0.065, 0.001), v(0.215, 0.065, 0.014), 0.005, 1);
-    for row in 0..4 {
-        for k in 0..12 {
-            if row == 0 && (3..8).contains(&k) {
+    for row in 0..3 {
+        for k in 0..10 {
+            if row == 0 && (2..7).contains(&k) {
                 continue;
             }
             let (x, y) = (
-                -0.2 + 0.0335 * f64::from(k) + 0.004 * f64::from(row % 2),
-                -0.054 + 0.028 * f64::from(row),
+                -0.2 + 0.0405 * f64::from(k) + 0.004 * f64::from(row % 2),
+                -0.054 + 0.038 * f64::from(row),
             );
-            m.add(cuboid("plastic.black", v(x, y, 0.0145), v(x + 0.029, y + 0.0235, 0.02)));
+            m.add(cuboid("plastic.black", v(x, y, 0.0145), v(x + 0.035, y + 0.032, 0.02)));
         }
     }
-    m.add(cuboid("plastic.black", v(-0.095, -0.054, 0.0145), v(0.064, -0.0305, 0.02)));
+    m.add(cuboid("plastic.black", v(-0.1, -0.054, 0.0145), v(0.07, -0.022, 0.02)));
     m
 }
 
 /// An open laptop; the user is at -y.
 pub fn laptop(paint: Paint) -> Mesh {
     let mut m = rounded(paint, v(-0.16, -0.11, 0.0), v(0.16, 0.11, 0.014), 0.005, 1);
-    for row in 0..4 {
-        for k in 0..8 {
-            let (x, y) = (-0.138 + 0.0348 * f64::from(k), 0.005 + 0.0215 * f64::from(row));
-            m.add(cuboid("plastic.black", v(x, y, 0.0143), v(x + 0.03, y + 0.017, 0.0165)));
+    for row in 0..3 {
+        for k in 0..7 {
+            let (x, y) = (-0.138 + 0.0398 * f64::from(k), 0.005 + 0.0287 * f64::from(row));
+            m.add(cuboid("plastic.black", v(x, y, 0.0143), v(x + 0.034, y + 0.023, 0.0165)));
         }
     }
     m.add(cuboid("plastic.grey", v(-0.05, -0.085, 0.0143), v(0.05, -0.02, 0.015)));
@@ -641,13 +641,13 @@ pub fn book_pile(count: usize, mut rng: Rng) -> Mesh {
 /// A radiator with ribs, to hang on a wall under a window; it stands 0.12 above the floor.
 pub fn radiator(width: f64) -> Mesh {
     let mut m = Mesh::new();
-    let n = (width / 0.14) as usize;
+    let n = (width / 0.17) as usize;
     for k in 0..n {
         let x = -width / 2.0 + width * (k as f64 + 0.5) / n as f64;
         m.add(rounded(
             "lacquer.white",
-            v(x - 0.062, -0.045, 0.1),
-            v(x + 0.062, 0.03, 0.68),
+            v(x - 0.075, -0.045, 0.1),
+            v(x + 0.075, 0.03, 0.68),
             0.02,
             1,
         ));
@@ -757,11 +757,11 @@ pub fn clock(rim: Paint) -> Mesh {
             (0.14, 0.026),
             (0.0, 0.026),
         ],
-        19,
+        13,
     )
     .tipped(90.0);
     m.add(
-        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 15)
+        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 10)
             .tipped(90.0),
     );
     for k in 0..12 {
@@ -829,7 +829,7 @@ pub fn basket(paint: Paint) -> Mesh {
             (0.112, 0.012),
             (0.0, 0.01),
         ],
-        14,
+        10,
     )
 }
 
@@ -847,7 +847,7 @@ pub fn coat_stand(mut rng: Rng) -> Mesh {
             (0.03, 1.74),
             (0.0, 1.78),
         ],
-        11,
+        8,
     );
     for k in 0..6 {
         let hook = curve(
@@ -1012,7 +1012,7 @@ pub fn carafe() -> Mesh {
                 (0.016, 0.262),
                 (0.0, 0.24),
             ],
-            11,
+            8,
         )
         .at(-0.09, 0.02, 0.0125),
     );

@@ -89,7 +89,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
 
 /// A moulded shell on four wooden legs.
 pub fn shell_chair(shell: Paint, wood: Paint) -> Mesh {
-    let seat = plate(shell, (8, 12), 0.009, |a, b| {
+    let seat = plate(shell, (6, 10), 0.009, |a, b| {
         // b runs from the front edge over the seat and up the back; a from left to right.
         let side = 2.0 * a - 1.0;
         let (y, z) = if b < 0.5 {
@@ -152,10 +152,10 @@ pub fn slat_chair(wood: Paint, cloth: Paint) -> Mesh {
     for y in [-0.185, 0.19] {
         m.add(soft(wood, 0.34, 0.022, 0.055, 0.006, 1).at(0.0, y, 0.385));
     }
-    m.add(cushion(cloth, v(0.42, 0.42, 0.05), 0.022, 0.012, 1, 4).at(0.0, -0.01, 0.435));
+    m.add(cushion(cloth, v(0.42, 0.42, 0.05), 0.022, 0.012, 1, 2).at(0.0, -0.01, 0.435));
     for (k, z) in [0.58, 0.7, 0.82].into_iter().enumerate() {
         let h = if k == 2 { 0.09 } else { 0.055 };
-        m.add(plate(wood, (6, 1), 0.014, |a, b| {
+        m.add(plate(wood, (4, 1), 0.014, |a, b| {
             let x = 0.345 * (a - 0.5);
             let zz = z + h * b + 0.01 * (1.0 - (2.0 * a - 1.0).raised(2)) * b;
             let lean = 0.215 + (zz - 0.66).max(0.0) * 0.2;
@@ -288,15 +288,15 @@ pub fn sofa(cloth: Paint, pillows: [Paint; 2], seats: usize) -> Mesh {
     }
     for k in 0..seats {
         let x = -half + each * (k as f64 + 0.5);
-        m.add(cushion(cloth, v(each - 0.008, 0.66, 0.17), 0.05, 0.022, 1, 4).at(x, -0.1, 0.28));
+        m.add(cushion(cloth, v(each - 0.008, 0.66, 0.17), 0.05, 0.022, 1, 3).at(x, -0.1, 0.28));
         m.add(
-            cushion(cloth, v(each - 0.02, 0.19, 0.44), 0.07, 0.035, 1, 4)
+            cushion(cloth, v(each - 0.02, 0.19, 0.44), 0.07, 0.035, 1, 3)
                 .tipped(-13.0)
                 .at(x, 0.16, 0.44),
         );
     }
     for (k, s) in [-1.0, 1.0].into_iter().enumerate() {
-        let pillow = cushion(pillows[k], v(0.42, 0.1, 0.42), 0.045, 0.055, 1, 4);
+        let pillow = cushion(pillows[k], v(0.42, 0.1, 0.42), 0.045, 0.055, 1, 3);
         m.add(pillow.tipped(-24.0).rolled(9.0 * s).turned(-14.0 * s).at(
             (half - 0.24) * s,
             -0.03,

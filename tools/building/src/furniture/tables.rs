@@ -60,7 +60,7 @@ pub fn round_table(wood: Paint, foot: Paint, radius: f64, height: f64) -> Mesh {
             (0.14, h - 0.001),
             (0.0, h - 0.001),
         ],
-        14,
+        12,
     ));
     m
 }
@@ -144,11 +144,7 @@ pub fn desk(wood: Paint, body: Paint, width: f64) -> Mesh {
         1,
     ));
     m.add(drawers(body, "metal.steel", (0.4, 0.55, 0.56), 3).at(width / 2.0 - 0.3, -0.02, 0.07));
-    for x in [-0.15, 0.15] {
-        for y in [-0.2, 0.18] {
-            m.add(ball("rubber", 0.032, 8).at(width / 2.0 - 0.3 + x, y - 0.02, 0.034));
-        }
-    }
+    m.add(soft("metal.dark", 0.36, 0.5, 0.069, 0.006, 1).at(width / 2.0 - 0.3, -0.01, 0.0));
     m
 }
 

@@ -236,7 +236,7 @@ pub fn cooking_pot(paint: Paint, r: f64, h: f64) -> Mesh {
             (r * 0.4, h + 0.028),
             (0.0, h + 0.032),
         ],
-        14,
+        10,
     );
     m.add(cylinder("plastic.black", 0.018, 0.022, 8).at(0.0, 0.0, h + 0.031));
     for s in [-1.0, 1.0] {
@@ -278,17 +278,17 @@ pub fn worktop_things() -> Mesh {
                     (0.045, h - 0.012),
                     (0.0, h - 0.012),
                 ],
-                11,
+                8,
             )
             .at(x, 0.14, 0.0),
         );
-        m.add(cylinder("wood.oak", 0.047, 0.02, 10).at(x, 0.14, h - 0.011));
+        m.add(cylinder("wood.oak", 0.047, 0.02, 8).at(x, 0.14, h - 0.011));
     }
     m.add(
         lathe(
             "ceramic.blue",
             &[(0.0, 0.0), (0.05, 0.0), (0.058, 0.12), (0.055, 0.122), (0.047, 0.01), (0.0, 0.01)],
-            11,
+            8,
         )
         .at(0.27, 0.14, 0.0),
     );
@@ -379,7 +379,7 @@ pub fn paper_roll() -> Mesh {
         0.006,
         5,
     );
-    m.add(cylinder("paper", 0.052, 0.1, 13).rolled(90.0).at(-0.05, -0.07, 0.0));
+    m.add(cylinder("paper", 0.052, 0.1, 10).rolled(90.0).at(-0.05, -0.07, 0.0));
     m.add(plate("paper", (4, 6), 0.0012, |a, b| v(-0.05 + 0.1 * a, -0.124, -0.16 + 0.15 * b)));
     m
 }
