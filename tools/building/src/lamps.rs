@@ -63,9 +63,9 @@ fn round() -> Mesh {
             (r, -0.002),
             (0.0, -0.002),
         ],
-        20,
+        16,
     );
-    let segments = 20;
+    let segments = 16;
     let centre = m.point(v(0.0, 0.0, -DROP));
     let rim: Vec<u32> = (0..segments)
         .map(|i| {

@@ -206,7 +206,7 @@ fn snake_plant(s: &mut Site<'_, '_>, x: f64, y: f64) {
     let rng = s.stream("snake-plant");
     s.loose(0.02, 180.0).stand(
         "snake-plant",
-        || decor::snake_plant("pot.white", 13, rng),
+        || decor::snake_plant("pot.white", 10, rng),
         x,
         y,
         0.0,
@@ -224,7 +224,7 @@ fn rubber_tree(s: &mut Site<'_, '_>, x: f64, y: f64) {
     let rng = s.stream("rubber-tree");
     s.loose(0.03, 180.0).stand(
         "rubber-tree",
-        || decor::rubber_tree("pot.clay", 1.7, 48, rng),
+        || decor::rubber_tree("pot.clay", 1.7, 42, rng),
         x,
         y,
         0.0,
@@ -394,7 +394,7 @@ fn office_1(s: &mut Site<'_, '_>) {
 /// 4.05 x 4.9; doors: west 1.2, north 0.95 (leaf inside).
 fn office_2(s: &mut Site<'_, '_>) {
     s.table("desk-birch", || tables::desk("wood.birch", "lacquer.white", 1.8), 2.2, 3.1, 180.0);
-    office_chair(s, "leather.black", (2.2, 3.8), (2.2, 3.1));
+    office_chair(s, "fabric.charcoal", (2.2, 3.8), (2.2, 3.1));
     computer(s, 2.2, 3.1, 180.0);
     papers(s, 1.6, 3.1, 0.741, 170.0);
     mug(s, "ceramic.blue", 2.75, 3.3, 0.741);
@@ -768,7 +768,6 @@ fn hall(s: &mut Site<'_, '_>) {
         ["book.red", "book.wine", "book.grey"],
         (0.9, 0.65),
     );
-    snake_plant(s, 11.6, 0.3);
 }
 
 /// The second leg, 1.9 x 10.45; doors: west 4.15 and 6.15, east 6.35 and 8.05, north.
@@ -910,7 +909,7 @@ fn salon(s: &mut Site<'_, '_>) {
 fn study(s: &mut Site<'_, '_>) {
     bookcase(s, West, "bookcase-study-1", 2.7, (1.2, 2.15), 5);
     s.table("desk-walnut", || tables::desk("wood.walnut", "wood.walnut", 1.5), 2.2, 3.1, 180.0);
-    office_chair(s, "leather.brown", (2.2, 3.85), (2.2, 3.0));
+    office_chair(s, "fabric.green", (2.2, 3.85), (2.2, 3.0));
     s.rest("laptop", || decor::laptop("metal.steel"), (2.2, 3.15, 0.741), 180.0);
     s.rest(
         "table-lamp",
@@ -1336,7 +1335,6 @@ fn home_hall(s: &mut Site<'_, '_>) {
         ["book.wine", "book.orange", "book.cream"],
         (0.9, 0.65),
     );
-    snake_plant(s, 11.9, 1.6);
 }
 
 /// 2.7 x 4.8, the landing; door: south 0.65.

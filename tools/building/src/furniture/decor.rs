@@ -66,7 +66,7 @@ pub fn rubber_tree(pot_paint: Paint, height: f64, leaves: usize, mut rng: Rng) -
                 v(0.05 * cs, 0.06 * sn, tall * 0.5),
                 v(lean * cs, lean * sn, tall * 0.94),
             ],
-            4,
+            3,
         );
         m.add(rod("bark", &path, |t| 0.013 - 0.007 * t, 5));
         let each = leaves / stems as usize;
@@ -465,7 +465,7 @@ pub fn mug(paint: Paint) -> Mesh {
     );
     let handle = curve(
         &[v(0.04, 0.0, 0.075), v(0.066, 0.0, 0.07), v(0.068, 0.0, 0.035), v(0.04, 0.0, 0.02)],
-        2,
+        1,
     );
     m.add(tube(paint, &handle, 0.005, 5));
     m
@@ -641,16 +641,10 @@ pub fn book_pile(count: usize, mut rng: Rng) -> Mesh {
 /// A radiator with ribs, to hang on a wall under a window; it stands 0.12 above the floor.
 pub fn radiator(width: f64) -> Mesh {
     let mut m = Mesh::new();
-    let n = (width / 0.17) as usize;
+    let n = (width / 0.2) as usize;
     for k in 0..n {
         let x = -width / 2.0 + width * (k as f64 + 0.5) / n as f64;
-        m.add(rounded(
-            "lacquer.white",
-            v(x - 0.075, -0.045, 0.1),
-            v(x + 0.075, 0.03, 0.68),
-            0.02,
-            1,
-        ));
+        m.add(rounded("lacquer.white", v(x - 0.09, -0.045, 0.1), v(x + 0.09, 0.03, 0.68), 0.02, 1));
     }
     for z in [0.15, 0.63] {
         m.add(tube(
@@ -674,7 +668,7 @@ pub fn radiator(width: f64) -> Mesh {
 
 /// One curtain that hangs from z = 0 down to `-drop`, gathered in `folds`.
 fn drape(paint: Paint, width: f64, drop: f64, folds: f64, phase: f64) -> Mesh {
-    let nu = (folds * 5.0) as usize;
+    let nu = (folds * 4.0) as usize;
     plate(paint, (nu, 2), 0.0022, |a, b| {
         let wave = libm::sin(TAU * folds * a + phase);
         let deep = 0.02 + 0.016 * (1.0 - b);
@@ -700,7 +694,7 @@ pub fn curtains(paint: Paint, width: f64, drop: f64, mut rng: Rng) -> Mesh {
             0.008,
             5,
         ));
-        m.add(drape(paint, 0.34, drop, 5.0, rng.range(0.0, TAU)).at(
+        m.add(drape(paint, 0.34, drop, 4.5, rng.range(0.0, TAU)).at(
             (half - 0.14) * s,
             0.04,
             -0.015,
@@ -757,16 +751,15 @@ pub fn clock(rim: Paint) -> Mesh {
             (0.14, 0.026),
             (0.0, 0.026),
         ],
-        13,
+        20,
     )
     .tipped(90.0);
     m.add(
-        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 10)
+        lathe("lacquer.white", &[(0.0, 0.0265), (0.138, 0.0265), (0.137, 0.028), (0.0, 0.028)], 20)
             .tipped(90.0),
     );
     for k in 0..12 {
-        let mark =
-            rounded("plastic.black", v(-0.004, -0.0305, 0.112), v(0.004, -0.0284, 0.132), 0.001, 1);
+        let mark = cuboid("plastic.black", v(-0.004, -0.0305, 0.112), v(0.004, -0.0284, 0.132));
         m.add(mark.rolled(30.0 * f64::from(k)));
     }
     for (turn, long, wide) in [(305.0, 0.075, 0.005), (60.0, 0.11, 0.0035)] {
@@ -791,9 +784,9 @@ pub fn globe() -> Mesh {
             (0.024, 0.09),
             (0.0, 0.095),
         ],
-        11,
+        10,
     );
-    let mut sphere = ball("book.blue", 0.14, 12);
+    let mut sphere = ball("book.blue", 0.14, 14);
     for t in &mut sphere.triangles {
         let p =
             t.corners.iter().map(|&c| sphere.points[c as usize]).sum::<glam::DVec3>() / 3.0 / 0.14;
@@ -805,9 +798,9 @@ pub fn globe() -> Mesh {
         }
     }
     m.add(sphere.rolled(23.4).at(0.0, 0.0, 0.25));
-    let arc: Vec<_> = (0..=20)
+    let arc: Vec<_> = (0..=9)
         .map(|i| {
-            let (s, c) = sin_cos(radians(-90.0 + 23.4 + 180.0 * f64::from(i) / 20.0));
+            let (s, c) = sin_cos(radians(-90.0 + 23.4 + 180.0 * f64::from(i) / 9.0));
             v(0.165 * c, 0.0, 0.25 + 0.165 * s)
         })
         .collect();

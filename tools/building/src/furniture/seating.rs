@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 /// A straight leg from `foot` to `head`, thinner below.
 fn leg(paint: Paint, foot: glam::DVec3, head: glam::DVec3, (low, high): (f64, f64)) -> Mesh {
-    let path: Vec<_> = (0..=2).map(|i| foot.lerp(head, f64::from(i) / 2.0)).collect();
+    let path: Vec<_> = (0..=1).map(|i| foot.lerp(head, f64::from(i))).collect();
     rod(paint, &path, |s| low + (high - low) * s, 5)
 }
 
@@ -235,7 +235,7 @@ pub fn lounge_chair(leather: Paint, wood: Paint) -> Mesh {
                 v(0.3 * s, 0.36, 0.014),
                 v(0.3 * s, 0.4, 0.03),
             ],
-            5,
+            3,
         );
         m.add(rod(wood, &runner, |_| 0.017, 5));
         let arm = curve(
@@ -245,7 +245,7 @@ pub fn lounge_chair(leather: Paint, wood: Paint) -> Mesh {
                 v(0.3 * s, 0.28, 0.48),
                 v(0.29 * s, 0.36, 0.4),
             ],
-            5,
+            3,
         );
         m.add(rod(wood, &arm, |t| 0.017 + 0.012 * libm::sin(t * PI), 5));
         m.add(tube(wood, &[v(0.3 * s, 0.1, 0.5), v(0.29 * s, 0.16, 0.02)], 0.015, 5));
@@ -308,7 +308,7 @@ pub fn sofa(cloth: Paint, pillows: [Paint; 2], seats: usize) -> Mesh {
 
 /// An upholstered bench, its long side to the front.
 pub fn bench(cloth: Paint, wood: Paint, width: f64) -> Mesh {
-    let mut m = cushion(cloth, v(width, 0.42, 0.09), 0.035, 0.012, 1, 5).at(0.0, 0.0, 0.37);
+    let mut m = cushion(cloth, v(width, 0.42, 0.09), 0.035, 0.012, 1, 3).at(0.0, 0.0, 0.37);
     m.add(soft(wood, width - 0.06, 0.36, 0.04, 0.008, 1).at(0.0, 0.0, 0.335));
     for (sx, sy) in [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)] {
         let x = (width / 2.0 - 0.12) * sx;
@@ -320,12 +320,12 @@ pub fn bench(cloth: Paint, wood: Paint, width: f64) -> Mesh {
 /// A pouf.
 pub fn pouf(cloth: Paint) -> Mesh {
     let mut profile = vec![(0.0, 0.0)];
-    for i in 0..=12 {
-        let (s, c) = sin_cos(PI * f64::from(i) / 12.0);
+    for i in 0..=7 {
+        let (s, c) = sin_cos(PI * f64::from(i) / 7.0);
         profile.push((0.19 + 0.09 * s, 0.19 - 0.19 * c));
     }
     profile.push((0.0, 0.385));
-    let mut m = lathe(cloth, &profile, 22).map(|p| {
+    let mut m = lathe(cloth, &profile, 24).map(|p| {
         let a = libm::atan2(p.y, p.x);
         let f = 1.0 + 0.018 * libm::cos(a * 12.0);
         v(p.x * f, p.y * f, p.z)

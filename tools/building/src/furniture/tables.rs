@@ -9,7 +9,7 @@ use glam::DVec2;
 fn tapered(paint: Paint, x: f64, y: f64, height: f64, (low, high): (f64, f64), splay: f64) -> Mesh {
     let n = (x * x + y * y).sqrt().max(1e-9);
     let foot = v(x + splay * x / n, y + splay * y / n, 0.0);
-    let path: Vec<_> = (0..=4).map(|i| foot.lerp(v(x, y, height), f64::from(i) / 4.0)).collect();
+    let path: Vec<_> = (0..=1).map(|i| foot.lerp(v(x, y, height), f64::from(i))).collect();
     rod(paint, &path, |s| low + (high - low) * s, 6)
 }
 
@@ -42,7 +42,7 @@ pub fn table(wood: Paint, width: f64, depth: f64, height: f64) -> Mesh {
 
 /// A round table on a turned pedestal.
 pub fn round_table(wood: Paint, foot: Paint, radius: f64, height: f64) -> Mesh {
-    let mut m = top(wood, &superellipse(radius, radius, 2.0, 28), height - 0.03, height);
+    let mut m = top(wood, &superellipse(radius, radius, 2.0, 24), height - 0.03, height);
     let h = height - 0.03;
     m.add(lathe(
         foot,
@@ -392,7 +392,7 @@ pub fn easel(wood: Paint, strokes: [Paint; 4]) -> Mesh {
     let mut canvas = rounded("paper", v(-0.36, -0.012, 0.0), v(0.36, 0.012, 0.86), 0.005, 1);
     for (k, paint) in strokes.into_iter().enumerate() {
         let f = k as f64;
-        canvas.add(sheet(paint, (18, 6), (false, false), |a, b| {
+        canvas.add(sheet(paint, (12, 2), (false, false), |a, b| {
             let x = -0.3 + 0.6 * a;
             let z = 0.12
                 + 0.17 * f

@@ -8,7 +8,7 @@ use crate::mesh::{
 use std::f64::consts::TAU;
 
 fn tap(paint: Paint, reach: f64, tall: f64) -> Mesh {
-    let mut m = cylinder(paint, 0.026, 0.02, 9);
+    let mut m = cylinder(paint, 0.026, 0.02, 8);
     let path = curve(
         &[
             v(0.0, 0.0, 0.018),
@@ -16,7 +16,7 @@ fn tap(paint: Paint, reach: f64, tall: f64) -> Mesh {
             v(0.0, -reach * 0.4, tall),
             v(0.0, -reach, tall * 0.82),
         ],
-        4,
+        3,
     );
     m.add(tube(paint, &path, 0.012, 5));
     m.add(tube(paint, &[v(0.014, 0.0, 0.06), v(0.09, -0.01, 0.085)], 0.007, 5));
@@ -156,7 +156,7 @@ pub fn base_unit(front: Paint, worktop: Paint, width: f64, kind: u32) -> Mesh {
         for (x, y, r) in
             [(-0.13, -0.11, 0.08), (0.13, -0.11, 0.065), (-0.13, 0.14, 0.065), (0.13, 0.14, 0.08)]
         {
-            m.add(ring("metal.steel", r, 0.002, 16, 4).at(x, y, 0.9015));
+            m.add(ring("metal.steel", r, 0.002, 12, 3).at(x, y, 0.9015));
         }
     }
     m
@@ -380,7 +380,7 @@ pub fn paper_roll() -> Mesh {
         5,
     );
     m.add(cylinder("paper", 0.052, 0.1, 10).rolled(90.0).at(-0.05, -0.07, 0.0));
-    m.add(plate("paper", (4, 6), 0.0012, |a, b| v(-0.05 + 0.1 * a, -0.124, -0.16 + 0.15 * b)));
+    m.add(plate("paper", (1, 4), 0.0012, |a, b| v(-0.05 + 0.1 * a, -0.124, -0.16 + 0.15 * b)));
     m
 }
 
