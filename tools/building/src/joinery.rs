@@ -100,23 +100,24 @@ fn pane((x0, z0, x1, z1): (f64, f64, f64, f64), y: f64) -> Mesh {
     sheet("glass.pane", (1, 1), (false, false), |a, b| v(x0 + (x1 - x0) * a, y, z0 + (z1 - z0) * b))
 }
 
+/// A frame with mullions between `sashes` panes, in the plane y = 0.
 fn glazing(paint: Paint, w: f64, h: f64, sashes: u32, (y0, y1): (f64, f64)) -> Mesh {
+    // Frames reach a little into the wall, and panes into their frames: no light gets around.
     let embed = 0.002;
-    let bar = 0.05;
+    let bar = 0.07;
     let (x0, x1) = (-w / 2.0 - embed, w / 2.0 + embed);
     let mut m = frame(paint, (x0, -embed, x1, h + embed), bar, (y0, y1));
-    let (inner, step) = (x0 + bar, (x1 - x0 - 2.0 * bar) / f64::from(sashes));
+    let step = (x1 - x0 - 2.0 * bar) / f64::from(sashes);
+    let (low, high) = (bar - embed, h + embed - bar);
     for k in 0..sashes {
-        let (a, b) = (inner + step * f64::from(k), inner + step * f64::from(k + 1));
-        let (low, high) = (bar - embed, h + embed - bar);
-        let inset = 0.012;
-        m.add(frame(
-            paint,
-            (a - 0.004, low - 0.004, b + 0.004, high + 0.004),
-            0.045,
-            (y0 + inset, y1 + inset),
-        ));
-        m.add(pane((a + 0.03, low + 0.03, b - 0.03, high - 0.03), (y0 + y1) / 2.0 + inset));
+        let a = x0 + bar + step * f64::from(k);
+        let (left, right) = (if k == 0 { a } else { a + bar / 2.0 }, a + step);
+        let right = if k + 1 == sashes { right } else { right - bar / 2.0 };
+        if k > 0 {
+            m.add(cuboid(paint, v(a - bar / 2.0, y0, low), v(a + bar / 2.0, y1, high)));
+        }
+        let e = 0.01;
+        m.add(pane((left - e, low - e, right + e, high + e), (y0 + y1) / 2.0));
     }
     m
 }
@@ -136,7 +137,7 @@ fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
         m.add(tube("metal.steel", &grip, 0.009, 5));
     }
     let e = w / 2.0 - 0.002;
-    m.add(rounded("stone.sill", v(-e, 0.01, 0.001), v(e, t / 2.0 + 0.04, 0.026), 0.008, 1));
+    m.add(cuboid("stone.sill", v(-e, 0.01, 0.001), v(e, t / 2.0 + 0.04, 0.026)));
     m.add(cuboid("metal.steel", v(-e, -t / 2.0 - 0.04, 0.001), v(e, -0.075, 0.016)));
     m
 }

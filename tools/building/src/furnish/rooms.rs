@@ -352,8 +352,6 @@ fn lobby(s: &mut Site<'_, '_>) {
     let rng = s.stream("pile");
     s.rest("book-pile", || decor::book_pile(3, rng), (3.05, 3.35, 0.398), 20.0);
     rubber_tree(s, 0.5, 2.45);
-    let rng = s.stream("coats");
-    s.stand("coat-stand", || decor::coat_stand(rng), 4.22, 4.5, 30.0);
     snake_plant(s, 1.1, 0.3);
     picture(
         s,
@@ -530,7 +528,6 @@ fn meeting(s: &mut Site<'_, '_>) {
         0.0,
     );
     s.rest("television", || decor::television(1.1), (4.56, 2.7, 0.787), -90.0);
-    rubber_tree(s, 4.2, 4.2);
     basket(s, 0.3, 0.4);
     picture(
         s,
@@ -662,11 +659,11 @@ fn washroom(s: &mut Site<'_, '_>) {
         s.against(North, "washbasin-white", || wet::washbasin("lacquer.white", 0.9), x, 0.0);
         s.against(North, "mirror-wash", || decor::mirror("metal.steel", 0.8, 1.0), x, 1.55);
     }
-    for x in [1.95, 2.9, 3.85] {
+    for x in [2.0, 2.95] {
         s.against(South, "toilet", wet::toilet, x, 0.0);
         s.against(South, "paper-roll", wet::paper_roll, x + 0.34, 0.75);
     }
-    for x in [1.47, 2.42, 3.37, 4.32] {
+    for x in [1.52, 2.47, 3.42] {
         s.stand("cubicle-wall", || wet::cubicle_wall("lacquer.blue", 1.35), x, 0.7, 0.0);
     }
     s.against(North, "towel-rail-blue", || wet::towel_rail("fabric.blue"), 3.0, 0.6);
@@ -1083,7 +1080,7 @@ fn bath(s: &mut Site<'_, '_>) {
 /// 1.5 x 4.8, unlit; door: south 0.75 (leaf inside).
 fn dressing(s: &mut Site<'_, '_>) {
     let rng = s.stream("clothes");
-    s.stand("clothes-rail", || storage::clothes(2.0, 15, rng), 0.32, 2.6, 90.0);
+    s.stand("clothes-rail", || storage::clothes(2.0, 12, rng), 0.32, 2.6, 90.0);
     s.against(North, "mirror-dressing", || decor::mirror("wood.oak", 0.7, 1.6), 0.75, 1.1);
     s.stand("pouf", || seating::pouf("fabric.rose"), 1.1, 3.9, 0.0);
     s.loose(0.01, 5.0);
@@ -1303,7 +1300,6 @@ fn games(s: &mut Site<'_, '_>) {
     );
     s.stand("floor-lamp", || decor::floor_lamp("metal.brass", "shade"), 7.05, 0.35, 0.0);
     snake_plant(s, 0.5, 4.4);
-    rubber_tree(s, 11.25, 0.65);
 }
 
 /// As downstairs, with other pictures.

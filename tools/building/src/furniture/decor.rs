@@ -341,7 +341,7 @@ pub fn rug(
     depth: f64,
     mut rng: Rng,
 ) -> Mesh {
-    let (nx, ny) = (13, 10);
+    let (nx, ny) = (12, 9);
     let waves = [rng.range(0.0, TAU), rng.range(0.0, TAU)];
     let mut m = plate(ground, (nx, ny), 0.008, |a, b| {
         let (x, y) = ((a - 0.5) * width, (b - 0.5) * depth);
@@ -437,7 +437,7 @@ pub fn flowers(paint: Paint, bloom: Paint, mut rng: Rng) -> Mesh {
                     (0.009, 0.044),
                     (0.0, 0.02),
                 ],
-                8,
+                6,
             )
             .at(out * c, out * s, up - 0.004),
         );
@@ -511,17 +511,11 @@ pub fn place_setting() -> Mesh {
             (0.08, 0.009),
             (0.0, 0.007),
         ],
-        10,
+        14,
     );
     for (x, w) in [(-0.17, 0.011), (0.165, 0.009), (0.19, 0.012)] {
-        m.add(rounded(
-            "metal.chrome",
-            v(x - 0.004, -0.1, 0.0),
-            v(x + 0.004, 0.02, 0.004),
-            0.0015,
-            1,
-        ));
-        m.add(rounded("metal.chrome", v(x - w, 0.021, 0.0005), v(x + w, 0.085, 0.0035), 0.0012, 1));
+        m.add(cuboid("metal.chrome", v(x - 0.004, -0.1, 0.0), v(x + 0.004, 0.02, 0.004)));
+        m.add(cuboid("metal.chrome", v(x - w, 0.021, 0.0005), v(x + w, 0.085, 0.0035)));
     }
     m.add(
         lathe(
@@ -534,7 +528,7 @@ pub fn place_setting() -> Mesh {
                 (0.027, 0.006),
                 (0.0, 0.005),
             ],
-            8,
+            14,
         )
         .at(0.15, 0.15, 0.0),
     );

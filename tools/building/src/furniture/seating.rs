@@ -384,10 +384,10 @@ pub fn bed(wood: Paint, cover: Paint, pillow: Paint, width: f64, mut rng: Rng) -
             0.055,
             0.06,
             1,
-            5,
+            3,
         );
         m.add(p.tipped(20.0).turned(rng.around(5.0)).at(x + rng.around(0.02), l - 0.27, 0.46));
-        let q = cushion(cover, v(0.44, 0.34, 0.1), 0.045, 0.05, 1, 4);
+        let q = cushion(cover, v(0.44, 0.34, 0.1), 0.045, 0.05, 1, 3);
         m.add(q.tipped(48.0).turned(rng.around(8.0)).at(x + rng.around(0.03), l - 0.42, 0.53));
     }
     m
