@@ -111,3 +111,16 @@ pub struct PassageRecord {
     pub flux_w: f64,
 }
 const _: () = assert!(size_of::<PassageRecord>() == 24);
+
+/// A light and a room that see each other: a direct photon of the light landed there, or a probe did.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct LightPairRecord {
+    /// Room.
+    pub room: u32,
+    /// Light.
+    pub light: u32,
+    /// Direct photons of the light that landed in the room.
+    pub photons: u64,
+}
+const _: () = assert!(size_of::<LightPairRecord>() == 16);

@@ -95,7 +95,8 @@ pub enum ExtentKind {
     Transit = 19,
     /// One room's photon map, a [`crate::sections`] blob of [`crate::map`]; id = room.
     Map = 20,
-    /// `u32` ids of the lights visible from a room, ascending; id = room. Written when the trace ends.
+    /// [`crate::journal::LightPairRecord`]s of the lights visible from a room, by light; id = room. Written when
+    /// the trace ends.
     LightSet = 21,
     /// [`crate::journal::LedgerRecord`]s: what one epoch added.
     Ledger = 22,
@@ -105,7 +106,7 @@ pub enum ExtentKind {
     Passages = 24,
     /// UTF-8 text, one `key = value` a line: the inputs and flags that a stage's results depend on.
     Identity = 25,
-    /// `[u32; 2]` pairs (room, light) that one epoch found to see each other.
+    /// [`crate::journal::LightPairRecord`]s: what one epoch added.
     LightPairs = 26,
 }
 

@@ -17,6 +17,7 @@ use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use enf_illumination::{Gather, IrradianceCache, Kernel, PhotonMap};
 use enf_image::Film;
 use enf_layout::film::PixelRecord;
+use enf_layout::journal::LightPairRecord;
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_layout::transit::TransitRecord;
 use enf_stage::resident::{TileCache, TileData, TileReader};
@@ -504,9 +505,16 @@ impl Driver<'_> {
         let mut lights = Vec::new();
         for extent in self.readers.trace.find(ExtentKind::LightSet, room) {
             let set = self.readers.trace.read(extent, &self.budget, "light set")?;
-            lights.extend_from_slice(set.as_slice_of::<u32>().map_err(StoreError::from)?);
+            let set = set.as_slice_of::<LightPairRecord>().map_err(StoreError::from)?;
+            let most = set.iter().map(|p| p.photons).max().unwrap_or(0).max(1) as f32;
+            // A light of which much arrives has its full importance; one that shines in through a door counts
+            // less, for it is hidden from most of the room, but never less than a tenth.
+            lights.extend(set.iter().map(|p| {
+                let share = (10.0 * p.photons as f32 / most).min(1.0);
+                (p.light, 0.1 + 0.9 * share)
+            }));
         }
-        if lights.iter().any(|&l| l as usize >= self.context.tables.lights().len()) {
+        if lights.iter().any(|l| l.0 as usize >= self.context.tables.lights().len()) {
             return Err(Failure::input(format!("the light set of room {room} is damaged")));
         }
         let map = if self.context.indirect {

@@ -32,7 +32,8 @@ const GLOBAL_SHARE: f32 = 0.02;
 /// What a room answers with: its photon map, and the lights that it sees.
 pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
-    pub(crate) lights: Vec<u32>,
+    /// Ascending light ids, and how much of the room each lights: a factor of its importance.
+    pub(crate) lights: Vec<(u32, f32)>,
 }
 
 /// A photon map in memory, and the irradiance that was gathered from it so far.
@@ -128,7 +129,7 @@ struct Shader<'a> {
     room: u32,
     map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     portals: PortalSet<'a>,
-    lights: &'a [u32],
+    lights: &'a [(u32, f32)],
     film: &'a Film,
     first_pixel: u32,
 }
@@ -376,6 +377,8 @@ impl Shader<'_> {
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
     }
 
+    /// Direct light by shadow rays to lights chosen from the room's set by importance, with a small share to all
+    /// lights of the scene: every light has a probability, so nothing is biased.
     fn direct(
         &self,
         record: &TransitRecord,
@@ -388,8 +391,8 @@ impl Shader<'_> {
         let all = context.tables.lights();
         scratch.weights.clear();
         let mut total = 0.0f32;
-        for &id in self.lights {
-            total += self.importance(&all[id as usize], surface);
+        for &(id, share) in self.lights {
+            total += share * self.importance(&all[id as usize], surface);
             scratch.weights.push(total);
         }
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
@@ -413,7 +416,7 @@ impl Shader<'_> {
                 // Stratified over the samples of this point.
                 let place = (sample as f32 + u[1]) / count as f32 * total;
                 let at = scratch.weights.partition_point(|&w| w <= place);
-                self.lights[at.min(self.lights.len() - 1)]
+                self.lights[at.min(self.lights.len() - 1)].0
             } else {
                 let place = f64::from(u[1]);
                 let at = context.power.partition_point(|&p| p <= place);
@@ -421,8 +424,11 @@ impl Shader<'_> {
             };
             let light = &all[chosen as usize];
             let mut probability = global * power_of(context.power, chosen as usize);
-            if total > 0.0 && self.lights.binary_search(&chosen).is_ok() {
-                probability += (1.0 - global) * self.importance(light, surface) / total;
+            if total > 0.0
+                && let Ok(at) = self.lights.binary_search_by_key(&chosen, |l| l.0)
+            {
+                let weight = self.lights[at].1 * self.importance(light, surface);
+                probability += (1.0 - global) * weight / total;
             }
             if probability <= 0.0 {
                 continue;

@@ -1,11 +1,11 @@
 //! The one owner of everything that a trace writes: the table of incoming photons (the paper's `TP`), the
 //! photon rows, the logs and the journal. Tracers send it blocks through a channel; nobody locks anything.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender};
-use enf_layout::journal::{LedgerRecord, PassageRecord};
+use enf_layout::journal::{LedgerRecord, LightPairRecord, PassageRecord};
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_layout::transit::TransitRecord;
@@ -82,10 +82,9 @@ pub(crate) struct Recorder {
     parked: BTreeMap<u32, u64>,
     ledger: BTreeMap<u32, LedgerRecord>,
     passages: BTreeMap<(u32, u32), (u64, f64)>,
-    sees: BTreeSet<(u32, u32)>,
+    sees: BTreeMap<(u32, u32), u64>,
     /// What came since the last commit.
     epoch: Tally,
-    new_pairs: BTreeSet<(u32, u32)>,
     uncommitted: u64,
     committed_at: Instant,
     failure: Option<StoreError>,
@@ -111,9 +110,8 @@ impl Recorder {
             parked: BTreeMap::new(),
             ledger: BTreeMap::new(),
             passages: BTreeMap::new(),
-            sees: BTreeSet::new(),
+            sees: BTreeMap::new(),
             epoch: Tally::default(),
-            new_pairs: BTreeSet::new(),
             uncommitted: 0,
             committed_at: Instant::now(),
             failure: None,
@@ -144,8 +142,8 @@ impl Recorder {
                     }
                 }
                 ExtentKind::LightPairs => {
-                    for pair in recorder.records::<[u32; 2]>(&extent)? {
-                        recorder.sees.insert((pair[0], pair[1]));
+                    for pair in recorder.records::<LightPairRecord>(&extent)? {
+                        *recorder.sees.entry((pair.room, pair.light)).or_default() += pair.photons;
                     }
                 }
                 _ => {}
@@ -274,10 +272,8 @@ impl Recorder {
             sum.0 += count;
             sum.1 += flux;
         }
-        for &pair in &tally.sees {
-            if self.sees.insert(pair) {
-                self.new_pairs.insert(pair);
-            }
+        for (&pair, &photons) in &tally.sees {
+            *self.sees.entry(pair).or_default() += photons;
         }
         self.traced += tally.traced;
         self.epoch.merge(&tally);
@@ -309,8 +305,11 @@ impl Recorder {
             .into_iter()
             .map(|((from, to), (photons, flux_w))| PassageRecord { from, to, photons, flux_w })
             .collect();
-        let pairs: Vec<[u32; 2]> =
-            std::mem::take(&mut self.new_pairs).into_iter().map(|(r, l)| [r, l]).collect();
+        let pairs: Vec<LightPairRecord> = epoch
+            .sees
+            .into_iter()
+            .map(|((room, light), photons)| LightPairRecord { room, light, photons })
+            .collect();
         append(writer, ExtentKind::Ledger, 0, &ledger)?;
         append(writer, ExtentKind::Passages, 0, &passages)?;
         append(writer, ExtentKind::LightPairs, 0, &pairs)?;
@@ -327,8 +326,11 @@ impl Recorder {
         }
         self.commit()?;
         for room in 0..rooms {
-            let lights: Vec<u32> =
-                self.sees.range((room, 0)..=(room, u32::MAX)).map(|pair| pair.1).collect();
+            let lights: Vec<LightPairRecord> = self
+                .sees
+                .range((room, 0)..=(room, u32::MAX))
+                .map(|(&(room, light), &photons)| LightPairRecord { room, light, photons })
+                .collect();
             append(&mut self.writer, ExtentKind::LightSet, room, &lights)?;
         }
         let totals = Totals {

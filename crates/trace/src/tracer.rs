@@ -1,6 +1,6 @@
 //! What a tracing thread does with a job: a few thousand photons in one tile, and what came of them.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -59,8 +59,8 @@ pub(crate) struct Job {
 pub(crate) struct Tally {
     pub(crate) rooms: BTreeMap<u32, LedgerRecord>,
     pub(crate) passages: BTreeMap<(u32, u32), (u64, f64)>,
-    /// (room, light) pairs that see each other.
-    pub(crate) sees: BTreeSet<(u32, u32)>,
+    /// (room, light) pairs that see each other, with the direct photons of the light that landed in the room.
+    pub(crate) sees: BTreeMap<(u32, u32), u64>,
     /// Photons traced (each time one is taken up counts).
     pub(crate) traced: u64,
 }
@@ -80,7 +80,9 @@ impl Tally {
             entry.0 += photons;
             entry.1 += flux;
         }
-        self.sees.extend(other.sees.iter().copied());
+        for (&pair, &photons) in &other.sees {
+            *self.sees.entry(pair).or_default() += photons;
+        }
         self.traced += other.traced;
     }
 }
@@ -112,7 +114,6 @@ pub(crate) struct Products {
     pub(crate) impacts: Vec<(u32, Vec<PhotonRecord>)>,
     pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
     pub(crate) tally: Tally,
-    last_seen: Option<(u32, u32)>,
 }
 
 fn lane<T>(lanes: &mut Vec<(u32, Vec<T>)>, id: u32) -> &mut Vec<T> {
@@ -135,9 +136,8 @@ fn add3(sum: &mut [f64; 3], flux: Vec3) {
 
 impl Sink for Products {
     fn impact(&mut self, room: u32, light: u32, photon: PhotonRecord) {
-        if photon.flags & PHOTON_DIRECT != 0 && self.last_seen != Some((room, light)) {
-            self.last_seen = Some((room, light));
-            self.tally.sees.insert((room, light));
+        if photon.flags & PHOTON_DIRECT != 0 {
+            *self.tally.sees.entry((room, light)).or_default() += 1;
         }
         self.tally.room(room).stored += 1;
         lane(&mut self.impacts, room).push(photon);
@@ -171,7 +171,7 @@ impl Sink for Products {
     }
 
     fn probed(&mut self, light: u32, room: u32) {
-        self.tally.sees.insert((room, light));
+        self.tally.sees.entry((room, light)).or_default();
     }
 }
 
