@@ -64,7 +64,7 @@ fn main() -> Result<(), enf_building::BuildingError> {
                 .corners()
                 .iter()
                 .all(|q| b.plan.rooms[room].rects.iter().any(|r| r.holds(q.x, q.y, 1e-6)));
-            if !inside {
+            if !inside && f.stance != Stance::Built {
                 println!("OUT {name} {f:?}");
             }
             if f.stance != Stance::Flat && zones.iter().any(|z| z.overlaps(&f, 0.0)) {

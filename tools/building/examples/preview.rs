@@ -118,6 +118,8 @@ impl World {
                 }
             }
             if split == from || split == to {
+                order[from..to]
+                    .sort_by(|&a, &b| mid[a as usize][axis].total_cmp(&mid[b as usize][axis]));
                 split = from.midpoint(to);
             }
             let first = nodes.len();
@@ -136,22 +138,35 @@ impl World {
     /// Nearest triangle and distance; panes are passed unless `panes`.
     fn hit(&self, o: Vec3, d: Vec3, mut far: f32) -> Option<(f32, usize)> {
         let inv = d.recip();
-        let mut stack = [0u32; 64];
+        let enter = |i: u32, far: f32| {
+            let node = &self.nodes[i as usize];
+            let (t0, t1) = ((node.low - o) * inv, (node.high - o) * inv);
+            let (a, b) = (t0.min(t1).max_element(), t0.max(t1).min_element());
+            (a <= b.min(far) && b >= 0.0).then_some(a)
+        };
+        let mut stack = [(0u32, 0f32); 96];
         let mut top = 1;
         let mut best = None;
         while top > 0 {
             top -= 1;
-            let node = &self.nodes[stack[top] as usize];
-            let (t0, t1) = ((node.low - o) * inv, (node.high - o) * inv);
-            if t0.min(t1).max_element() > t0.max(t1).min_element().min(far)
-                || t0.max(t1).min_element() < 0.0
-            {
+            let (index, from) = stack[top];
+            if from > far {
                 continue;
             }
+            let node = &self.nodes[index as usize];
             if node.count == 0 {
-                stack[top] = node.first;
-                stack[top + 1] = node.first + 1;
-                top += 2;
+                let (a, b) = (node.first, node.first + 1);
+                let (mut first, mut second) =
+                    (enter(a, far).map(|t| (a, t)), enter(b, far).map(|t| (b, t)));
+                if let (Some(x), Some(y)) = (first, second)
+                    && x.1 < y.1
+                {
+                    (first, second) = (second, first);
+                }
+                for child in [first, second].into_iter().flatten() {
+                    stack[top] = child;
+                    top += 1;
+                }
                 continue;
             }
             for i in node.first as usize..(node.first + node.count) as usize {
@@ -361,7 +376,7 @@ fn main() -> Result<(), Box<dyn Error>> {
             }
             None => b.plan.views.iter().find(|v| v.name == *name).ok_or("no such view")?.clone(),
         };
-        let (w, h) = view.size;
+        let (w, h) = if samples < 32 { (view.size.0 / 2, view.size.1 / 2) } else { view.size };
         let ahead = (view.target - view.eye).normalize().as_vec3();
         let right = ahead.cross(Vec3::Z).normalize();
         let up = right.cross(ahead);

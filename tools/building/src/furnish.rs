@@ -139,12 +139,17 @@ impl Footprint {
         })
     }
 
-    /// Whether the two may not stand like this.
+    /// Whether the two may not stand like this. Rugs lie under everything, seats go under tables,
+    /// and what rests on a thing is inside that thing's box where it has a tap or a raised edge:
+    /// it keeps clear of other things at rest only.
     pub fn conflicts(&self, other: &Self) -> bool {
-        use Stance::{Flat, Seat, Table};
-        let free = matches!((self.stance, other.stance), (Seat, Table) | (Table, Seat))
-            || self.stance == Flat
-            || other.stance == Flat;
+        use Stance::{Built, Flat, Rests, Seat, Table};
+        let free = match (self.stance, other.stance) {
+            (Built | Flat, _) | (_, Built | Flat) | (Seat, Table) | (Table, Seat) => true,
+            (Rests, Rests) => false,
+            (Rests, _) | (_, Rests) => true,
+            _ => false,
+        };
         !free && self.overlaps(other, 0.012)
     }
 

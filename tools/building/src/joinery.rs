@@ -5,7 +5,9 @@
 use crate::Part;
 use crate::furnish::Placement;
 use crate::lshape::STAIR_OPENING;
-use crate::mesh::{Mesh, Paint, all, ball, block, cuboid, cylinder, rounded, sheet, soft, tube, v};
+use crate::mesh::{
+    Mesh, Paint, all, ball, block, cuboid, cylinder, lathe, rounded, sheet, soft, tube, v,
+};
 use crate::plan::{Filling, Leaf, Opening, Plan, Rect, STOREY, Side};
 
 /// Width of the leaf of a 0.9 m doorway, metres.
@@ -218,7 +220,8 @@ fn leaf_mesh(paint: Paint) -> Mesh {
         }
         let (x, z) = (w - 0.065, 1.02);
         let y = t * side;
-        let rose = cylinder("metal.steel", 0.026, 0.008, 9);
+        let rose =
+            lathe("metal.steel", &[(0.0, 0.0), (0.026, 0.0), (0.024, 0.008), (0.0, 0.008)], 12);
         let facing = if side > 0.0 { -90.0 } else { 90.0 };
         m.add(rose.tipped(facing).at(x, y + 0.0005 * side, z));
         let lever = [

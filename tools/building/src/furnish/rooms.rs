@@ -331,7 +331,7 @@ fn canteen(s: &mut Site<'_, '_>) {
 fn lobby(s: &mut Site<'_, '_>) {
     s.table("reception", || tables::counter("wood.walnut", "stone.white", 1.8), 1.25, 3.55, 0.0);
     office_chair(s, "fabric.charcoal", (1.25, 4.25), (1.25, 3.0));
-    s.rest("laptop", || decor::laptop("metal.steel"), (1.0, 3.66, 0.732), 180.0);
+    s.rest("laptop", || decor::laptop("metal.steel"), (1.0, 3.68, 0.732), 180.0);
     flowers(s, 0.62, 3.35, 1.077);
     s.against(
         East,
@@ -376,7 +376,7 @@ fn office_1(s: &mut Site<'_, '_>) {
     mug(s, "ceramic.red", 3.4, 2.5, 0.741);
     s.rest("desk-lamp", || decor::desk_lamp("lacquer.red"), (3.72, 2.35, 0.741), 90.0);
     bookcase(s, West, "bookcase-office-1", 3.0, (1.0, 1.3), 3);
-    basket(s, 2.62, 4.6);
+    basket(s, 2.45, 4.6);
     snake_plant(s, 0.4, 0.4);
     picture(
         s,
@@ -467,7 +467,7 @@ fn conference(s: &mut Site<'_, '_>) {
     s.rest("carafe", decor::carafe, (x, y - 1.2, 0.747), 80.0);
     s.rest("carafe", decor::carafe, (x, y + 1.3, 0.747), 100.0);
     flowers(s, x, y + 0.55, 0.747);
-    s.put(super::Stance::Stands, "projector", decor::projector, (x, 9.3, 2.796), 180.0);
+    s.put(super::Stance::Stands, "projector", decor::projector, (x, 9.3, 2.794), 180.0);
     s.against(West, "whiteboard", || decor::whiteboard(2.4, 1.2), 3.0, 1.55);
     s.against(
         West,
@@ -601,22 +601,14 @@ fn kitchen(s: &mut Site<'_, '_>) {
 
 /// 4.9 x 5.35; door: east 1.05 (leaf inside).
 fn studio(s: &mut Site<'_, '_>) {
-    for (x, cloth) in [(1.75, "fabric.mustard"), (3.2, "fabric.mustard")] {
-        for (y, turn) in [(2.6, 0.0), (3.38, 180.0)] {
-            s.table(
-                "desk-white",
-                || tables::desk("lacquer.white", "lacquer.grey", 1.4),
-                x,
-                y,
-                turn,
-            );
-            let out = if turn == 0.0 { -0.72 } else { 0.72 };
-            office_chair(s, cloth, (x, y + out), (x, y));
-            computer(s, x, y, turn);
-        }
+    for (x, y, turn) in [(1.75, 2.6, 0.0), (1.75, 3.38, 180.0), (3.2, 2.6, 0.0)] {
+        s.table("desk-white", || tables::desk("lacquer.white", "lacquer.grey", 1.4), x, y, turn);
+        let out = if turn == 0.0 { -0.72 } else { 0.72 };
+        office_chair(s, "fabric.mustard", (x, y + out), (x, y));
+        computer(s, x, y, turn);
     }
-    papers(s, 2.2, 2.45, 0.741, 5.0);
-    mug(s, "ceramic.green", 3.72, 3.5, 0.741);
+    papers(s, 2.25, 2.45, 0.741, 5.0);
+    mug(s, "ceramic.green", 3.72, 2.75, 0.741);
     s.against(
         North,
         "sideboard-studio",
@@ -634,15 +626,12 @@ fn studio(s: &mut Site<'_, '_>) {
         ["book.blue", "book.white", "book.yellow"],
         (1.1, 0.8),
     );
-    rubber_tree(s, 4.35, 4.8);
     basket(s, 0.4, 4.4);
 }
 
 /// 4.8 x 2.0, unlit; door: west 1.25 (leaf inside).
 fn store(s: &mut Site<'_, '_>) {
-    for (name, side, along, w) in
-        [("rack-store-1", South, 2.0, 1.8), ("rack-store-2", South, 3.85, 1.7)]
-    {
+    for (name, side, along, w) in [("rack-store-1", South, 2.6, 1.8)] {
         let rng = s.stream(name);
         s.against(side, name, || storage::rack(w, 2.0, 5, rng), along, 0.0);
     }
@@ -718,7 +707,7 @@ fn library(s: &mut Site<'_, '_>) {
         East,
         "sideboard-library",
         || storage::sideboard("wood.walnut", "wood.walnut", 1.2),
-        1.0,
+        0.68,
         0.0,
     );
     picture(
@@ -845,9 +834,9 @@ fn living(s: &mut Site<'_, '_>) {
     );
     s.loose(0.0, 0.0);
     s.against(North, "fireplace", decor::fireplace, 1.9, 0.0);
-    flowers(s, 1.3, 6.82, 1.078);
+    flowers(s, 1.2, 6.78, 1.078);
     s.rest("vase-ochre", || decor::vase("ceramic.ochre", 0.26), (2.45, 6.84, 1.078), 0.0);
-    s.against(North, "mirror-living", || decor::mirror("metal.brass", 1.1, 0.9), 1.9, 1.75);
+    s.against(North, "mirror-living", || decor::mirror("metal.brass", 0.8, 0.9), 1.9, 1.75);
     picture(
         s,
         East,
@@ -858,7 +847,7 @@ fn living(s: &mut Site<'_, '_>) {
         (1.5, 0.85),
     );
     s.stand("floor-lamp", || decor::floor_lamp("metal.brass", "shade"), 4.6, 2.1, 0.0);
-    palm(s, 0.68, 6.2);
+    snake_plant(s, 0.4, 6.5);
 }
 
 /// 4.6 x 4.9; doors: west and east 1.2, north 3.25.
@@ -1021,12 +1010,6 @@ fn atelier(s: &mut Site<'_, '_>) {
     stool(s, "leather.tan", false, 1.9, 8.9);
     stool(s, "leather.tan", false, 3.2, 8.8);
     s.stand("workbench", || tables::workbench("wood.birch", 2.0), 2.6, 7.0, 0.0);
-    s.rest(
-        "crate-brushes",
-        || storage::crate_of("fruit.lime", crate::rng::Rng::new(3, "crate")),
-        (2.1, 7.0, 0.872),
-        0.0,
-    );
     papers(s, 2.7, 6.95, 0.872, 20.0);
     s.table("drawing-table", || tables::table("wood.oak", 2.2, 1.0, 0.75), 2.9, 3.6, 0.0);
     for (x, y) in [(2.3, 2.95), (3.4, 2.95), (2.3, 4.25), (3.4, 4.25)] {
@@ -1045,10 +1028,10 @@ fn atelier(s: &mut Site<'_, '_>) {
         (1.2, 0.8),
     );
     s.against(
-        South,
+        West,
         "sideboard-canteen",
         || storage::sideboard("wood.oak", "lacquer.green", 1.9),
-        2.55,
+        3.6,
         0.0,
     );
     rubber_tree(s, 4.3, 0.65);
@@ -1106,7 +1089,7 @@ fn nursery(s: &mut Site<'_, '_>) {
     s.loose(0.06, 30.0).stand("rocking-horse", decor::rocking_horse, 1.1, 3.95, 40.0);
     s.loose(0.0, 0.0);
     bookcase(s, West, "bookcase-nursery", 1.9, (0.9, 1.05), 3);
-    armchair(s, "fabric.rose", (2.55, 1.3), (1.4, 2.4));
+    armchair(s, "fabric.rose", (2.42, 1.35), (1.4, 2.4));
     s.rest("bear", || seating::bear("leather.tan"), (0.2, 1.9, 1.082), 90.0);
     picture(
         s,
@@ -1156,7 +1139,7 @@ fn home_kitchen(s: &mut Site<'_, '_>) {
         ["book.red", "book.yellow", "book.cream"],
         (0.9, 0.6),
     );
-    snake_plant(s, 0.35, 0.4);
+    snake_plant(s, 0.4, 0.4);
 }
 
 /// 4.9 x 5.35; door: east 1.05 (leaf inside).

@@ -641,11 +641,10 @@ pub fn radiator(width: f64) -> Mesh {
         m.add(rounded("lacquer.white", v(x - 0.09, -0.045, 0.1), v(x + 0.09, 0.03, 0.68), 0.02, 1));
     }
     for z in [0.15, 0.63] {
-        m.add(tube(
+        m.add(cuboid(
             "lacquer.white",
-            &[v(-width / 2.0 - 0.015, -0.008, z), v(width / 2.0 + 0.015, -0.008, z)],
-            0.016,
-            5,
+            v(-width / 2.0 - 0.012, -0.02, z),
+            v(width / 2.0 + 0.012, 0.005, z + 0.03),
         ));
     }
     m.add(tube(

@@ -28,7 +28,9 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
             (0.024, 0.02),
             (0.0, 0.02),
         ];
-        arm.add(lathe("rubber", &castor, 8).tipped(90.0).at(0.3, 0.0, 0.028));
+        arm.add(
+            lathe("rubber", &castor, if arms { 10 } else { 8 }).tipped(90.0).at(0.3, 0.0, 0.028),
+        );
         m.add(arm.turned(turn));
     }
     m.add(cylinder("plastic.black", 0.034, 0.16, 8).at(0.0, 0.0, 0.09));
@@ -36,12 +38,19 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
     m.add(soft("plastic.black", 0.22, 0.2, 0.035, 0.012, 1).at(0.0, 0.01, 0.42));
     // The seat dips a little and rolls off at the front.
     m.add(
-        cushion(cloth, v(0.49, 0.47, 0.075), 0.034, 0.006, if arms { 2 } else { 1 }, 4)
-            .map(|p| {
-                let front = (-p.y - 0.12).max(0.0);
-                v(p.x, p.y, p.z - front * front * 1.6 + p.x * p.x * 0.25)
-            })
-            .at(0.0, -0.01, 0.45),
+        cushion(
+            cloth,
+            v(0.49, 0.47, 0.075),
+            0.034,
+            0.006,
+            if arms { 2 } else { 1 },
+            if arms { 4 } else { 3 },
+        )
+        .map(|p| {
+            let front = (-p.y - 0.12).max(0.0);
+            v(p.x, p.y, p.z - front * front * 1.6 + p.x * p.x * 0.25)
+        })
+        .at(0.0, -0.01, 0.45),
     );
     // The back curves around the sitter and leans.
     let back = cushion(
@@ -50,7 +59,7 @@ pub fn office_chair(cloth: Paint, arms: bool) -> Mesh {
         0.026,
         0.004,
         if arms { 2 } else { 1 },
-        if arms { 5 } else { 3 },
+        if arms { 6 } else { 3 },
     )
     .map(|p| {
         let s = (p.z / 0.5 - 0.35) * PI;

@@ -84,8 +84,8 @@ pub fn coffee_table(wood: Paint, width: f64, depth: f64) -> Mesh {
 
 /// A small side table.
 pub fn side_table(wood: Paint) -> Mesh {
-    let mut m = top(wood, &superellipse(0.22, 0.22, 2.0, 20), 0.5, 0.525);
-    m.add(top(wood, &superellipse(0.15, 0.15, 2.0, 20), 0.18, 0.195));
+    let mut m = top(wood, &superellipse(0.22, 0.22, 2.0, 16), 0.5, 0.525);
+    m.add(top(wood, &superellipse(0.15, 0.15, 2.0, 12), 0.18, 0.195));
     for k in 0..3 {
         m.add(
             tapered(wood, 0.15, 0.0, 0.5, (0.01, 0.015), 0.05).turned(120.0 * f64::from(k) + 20.0),

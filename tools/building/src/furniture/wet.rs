@@ -398,7 +398,7 @@ pub fn towel_rail(towel: Paint) -> Mesh {
         m.add(tube("metal.chrome", &[v(-0.24, -0.06, z), v(0.24, -0.06, z)], 0.008, 5));
     }
     for (z, paint) in [(0.96, towel), (0.42, "fabric.white")] {
-        m.add(plate(paint, (8, 12), 0.008, |a, b| {
+        m.add(plate(paint, (6, 10), 0.008, |a, b| {
             // Over the rail: down the front, across the bar, down the back.
             let s = (b - 0.5) * 0.8;
             let bend = 0.025;
@@ -485,7 +485,7 @@ pub fn mop_bucket() -> Mesh {
             (0.12, 0.012),
             (0.0, 0.01),
         ],
-        14,
+        18,
     );
     m.add(tube("wood.birch", &[v(-0.03, 0.0, 0.1), v(0.12, 0.09, 1.35)], 0.012, 5));
     for k in 0..14 {
@@ -496,7 +496,7 @@ pub fn mop_bucket() -> Mesh {
                 v(-0.03 + 0.05 * c, 0.05 * s, 0.1),
                 v(-0.03 + 0.075 * c, 0.075 * s, 0.03),
             ],
-            2,
+            1,
         );
         m.add(tube("fabric.cream", &strand, 0.009, 5));
     }
