@@ -75,7 +75,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub samples: u32,
     /// Shadow rays per shading point
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub light_samples: u32,
     /// Photons that irradiance is estimated from (k of the k nearest)
     #[arg(long, value_name = "N", default_value = "120", value_parser = parse_count)]

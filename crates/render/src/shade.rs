@@ -29,6 +29,9 @@ use crate::camera::{self, View};
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
 
+/// Steps of the five-dimensional Kronecker sequence (Roberts 2018: powers of 1/1.13472...), as 32-bit fractions.
+const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
+
 /// What a room answers with: its photon map, and the lights that it sees.
 pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
@@ -398,23 +401,20 @@ impl Shader<'_> {
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
         let count = context.light_samples;
         let (_, local) = context.pixel(record.light);
+        // A low-discrepancy sequence over all samples of the pixel, shifted at random per pixel and bounce.
+        let shift = |block| {
+            rng::block(context.seed, Purpose::Shadow, local, 0, record.bounce, block)
+        };
+        let (s, t) = (shift(0), shift(1));
         for sample in 0..count {
-            let index = (sample & 0x7f) as u8 * 2;
-            let bounce = record.bounce | ((sample >> 7) << 12) as u16;
-            let random = |block: u8| {
-                rng::uniforms(
-                    context.seed,
-                    Purpose::Shadow,
-                    local,
-                    record.photon,
-                    bounce,
-                    index + block,
-                )
+            let index = record.photon.wrapping_mul(count).wrapping_add(sample);
+            let place = |dimension: usize, shift: u32| {
+                rng::unit(index.wrapping_mul(KRONECKER[dimension]).wrapping_add(shift))
             };
-            let (u, v) = (random(0), random(1));
+            let u = [place(0, s[0]), place(1, s[1])];
+            let v = [place(2, t[0]), place(3, t[1]), place(4, t[2])];
             let chosen = if u[0] >= global {
-                // Stratified over the samples of this point.
-                let place = (sample as f32 + u[1]) / count as f32 * total;
+                let place = u[1] * total;
                 let at = scratch.weights.partition_point(|&w| w <= place);
                 self.lights[at.min(self.lights.len() - 1)].0
             } else {
