@@ -402,9 +402,8 @@ impl Shader<'_> {
         let count = context.light_samples;
         let (_, local) = context.pixel(record.light);
         // A low-discrepancy sequence over all samples of the pixel, shifted at random per pixel and bounce.
-        let shift = |block| {
-            rng::block(context.seed, Purpose::Shadow, local, 0, record.bounce, block)
-        };
+        let shift =
+            |block| rng::block(context.seed, Purpose::Shadow, local, 0, record.bounce, block);
         let (s, t) = (shift(0), shift(1));
         for sample in 0..count {
             let index = record.photon.wrapping_mul(count).wrapping_add(sample);

@@ -27,13 +27,16 @@ pub(crate) fn cluster(
         centre_sum: DVec3,
         area: f64,
     }
-    let mut order: Vec<(f32, u32)> = Vec::with_capacity(triangles.len());
+    // A first, coarse pass: most triangles are furniture and share their plane with too little to be a wall.
+    let promising = promising(triangles, LEAST_AREA * scale * scale * PROMISING_SHARE);
+    let mut order: Vec<(f32, u32)> = Vec::new();
     for (i, t) in triangles.iter().enumerate() {
         let area = area_vector(t).length() as f32;
-        if area > 1e-7 {
+        if area > 1e-7 && promising.binary_search(&coarse_plane(t)).is_ok() {
             order.push((area, i as u32));
         }
     }
+    drop(promising);
     order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
 
     let mut normals: Vec<DVec3> = Vec::new();
@@ -117,6 +120,49 @@ pub(crate) fn cluster(
         }
     }
     (kept, of)
+}
+
+/// A plane whose triangles fall into several coarse cells (at most 2 x 2 x 2 x 2) still has a cell with this share.
+const PROMISING_SHARE: f64 = 1.0 / 16.0;
+/// Cells per unit of a normal's component, and per metre of offset.
+const COARSE_NORMALS: f64 = 64.0;
+const COARSE_OFFSETS: f64 = 50.0;
+
+/// The cell of a triangle's plane in a coarse grid over planes; opposite normals share one.
+fn coarse_plane(t: &[[f32; 3]; 3]) -> u64 {
+    let vector = area_vector(t);
+    let normal = vector / vector.length();
+    let size = normal.abs();
+    let largest = if size.x >= size.y && size.x >= size.z {
+        normal.x
+    } else if size.y >= size.z {
+        normal.y
+    } else {
+        normal.z
+    };
+    let normal = if largest < 0.0 { -normal } else { normal };
+    let cell = |x: f64, bits: u32| ((x.round() as i64) as u64) & ((1 << bits) - 1);
+    let offset = normal.dot(point(t[0]));
+    cell(normal.x * COARSE_NORMALS, 8)
+        | cell(normal.y * COARSE_NORMALS, 8) << 8
+        | cell(normal.z * COARSE_NORMALS, 8) << 16
+        | cell(offset * COARSE_OFFSETS, 40) << 24
+}
+
+/// The coarse cells that hold at least this area, m², ascending.
+fn promising(triangles: &[[[f32; 3]; 3]], least: f64) -> Vec<u64> {
+    let mut cells: Vec<(u64, f32)> = triangles
+        .iter()
+        .map(|t| (coarse_plane(t), area_vector(t).length() as f32))
+        .filter(|c| c.1 > 1e-7)
+        .collect();
+    // By area too: a sum of floats depends on its order.
+    cells.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)));
+    cells
+        .chunk_by(|a, b| a.0 == b.0)
+        .filter(|run| run.iter().map(|c| f64::from(c.1)).sum::<f64>() >= least)
+        .map(|run| run[0].0)
+        .collect()
 }
 
 /// The mean plane of a cluster; its normal is exactly an axis if it is one to rounding.

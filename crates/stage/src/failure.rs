@@ -185,6 +185,7 @@ static PANIC: Mutex<Option<String>> = Mutex::new(None);
 /// A panic in `body` (or in a thread that it joins) becomes an internal error with exit code 5 and
 /// no panic message; setting `ENFILADE_BACKTRACE=1` shows Rust's own report as well.
 pub fn run_main(name: &str, body: impl FnOnce() -> Result<()>) -> ExitCode {
+    enf_store::tune_allocator();
     crate::memory::fixed_overhead_bytes();
     progress::set_program(name);
     silence_panics();

@@ -61,6 +61,8 @@ impl Session {
     /// # Errors
     /// Exit 3 when the process alone is over the budget; exit 5 when a report could not be written later.
     pub fn open(common: &CommonArgs) -> Result<Self> {
+        // What an earlier stage of this process has freed is not this one's.
+        enf_store::give_back_free_memory();
         let stats = Stats::begin(common)?;
         let (budget, process) = crate::memory_budget(common)?;
         Ok(Self {

@@ -34,6 +34,6 @@ pub use encode::{Encoded, Encoder, encode};
 pub use error::StoreError;
 pub use identity::Identity;
 pub use load::{Extent, ExtentReader};
-pub use map::Mapped;
+pub use map::{Mapped, give_back_free_memory, tune_allocator};
 pub use reader::{StageReader, Verified, verify};
 pub use writer::StageWriter;

@@ -1,6 +1,7 @@
 //! Sealed, uncompressed extents in place: a map that is brought in and checked before anyone sees it.
 //!
-//! This is the one file of the workspace with `unsafe` code. It rests on one rule: a sealed file is
+//! This is the one file of the workspace with `unsafe` code (the two calls that keep the C allocator honest live
+//! here for that reason). It rests on one rule: a sealed file is
 //! never written, truncated or punched by this program. What another program may do to it is bounded
 //! by care: the length is checked first, pages are brought in by a call that answers an I/O error
 //! with an error instead of a signal, and the checksum is verified before the slice is handed out.
@@ -100,4 +101,26 @@ pub(crate) fn map(
     io.read(padded as u64);
     load::check(data, extent, hash.digest128().to_le_bytes())?;
     Ok(Mapped { map, len, _reservation: reservation })
+}
+
+/// Tells the C allocator to serve blocks of 128 KiB and more by maps of their own, so that what is dropped leaves
+/// the process at once, and to keep few arenas. A budget that the kernel measures cannot be kept otherwise: glibc
+/// raises that threshold up to 32 MiB by itself. Does nothing on other C libraries.
+pub fn tune_allocator() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: `mallopt` may be called at any time, from any thread; it takes two integers and keeps no pointer.
+    unsafe {
+        libc::mallopt(libc::M_MMAP_THRESHOLD, 128 << 10);
+        libc::mallopt(libc::M_TRIM_THRESHOLD, 128 << 10);
+        libc::mallopt(libc::M_ARENA_MAX, 2);
+    }
+}
+
+/// Hands free pages of the heap back to the kernel. Does nothing on other C libraries than glibc.
+pub fn give_back_free_memory() {
+    #[cfg(all(target_os = "linux", target_env = "gnu"))]
+    // SAFETY: `malloc_trim` only touches memory that the allocator itself owns and nobody uses.
+    unsafe {
+        libc::malloc_trim(0);
+    }
 }
