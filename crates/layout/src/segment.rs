@@ -192,3 +192,16 @@ pub struct FileHeader {
     pub checksum: u64,
 }
 const _: () = assert!(size_of::<FileHeader>() == 64);
+
+/// One file of a finished stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct SealRecord {
+    /// The file's name in the store, UTF-8, padded with zeros.
+    pub name: [u8; 40],
+    /// Its length, bytes.
+    pub length: u64,
+    /// XXH3-128 of every byte of it.
+    pub hash: [u8; 16],
+}
+const _: () = assert!(size_of::<SealRecord>() == 64);
