@@ -180,7 +180,7 @@ pub struct FileHeader {
     pub process: u32,
     /// Number of the file among its kind.
     pub segment: u32,
-    /// Size in bytes of one record where the file is a list of them (journal), else 0.
+    /// Size in bytes of one record where the file is a list of them (journal, seal), else 0.
     pub record_size: u32,
     /// Zero.
     pub reserved: u32,
