@@ -16,7 +16,9 @@ use enf_layout::bsp::{
 };
 use enf_layout::film::PixelRecord;
 use enf_layout::grid::{BrickRecord, GridHeader};
-use enf_layout::journal::{JournalKind, JournalRecord, LedgerRecord, PassageRecord};
+use enf_layout::journal::{
+    JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
+};
 use enf_layout::light::{EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord};
 use enf_layout::map::MapHeader;
 use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};
@@ -107,6 +109,7 @@ fn records() -> Vec<Golden> {
             reflections_max: 17,
         }
         PassageRecord { from: 1, to: 2, photons: 333, flux_w: 4.5 }
+        LightPairRecord { room: 5, light: 6, photons: 777 }
         SectionsHeader { magic: SECTIONS_MAGIC, count: 4 }
         SectionRecord { offset: 128, bytes: 36, transform: Transform::Delta as u32, stride: 3 }
         PlaneRecord { normal: [0.6, 0.0, 0.8], offset: -2.5 }
