@@ -1,4 +1,4 @@
-//! The BSP of the space: planes, nodes, convex leaves and their faces (paper 000, section 4.1, with
+//! The BSP of the space: planes, nodes, convex leaves and their faces (Fradin et al. 2005, section 4.1, with
 //! automatic cells instead of a modeler's).
 //!
 //! Half-space convention: a point `p` is in *front* of a plane when `normal·p - offset > 0`; exactly

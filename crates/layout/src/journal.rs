@@ -46,13 +46,13 @@ pub struct JournalRecord {
     pub codec: u32,
     /// Zero.
     pub reserved: u32,
-    /// First byte of the extent in its data file, a multiple of 64.
+    /// First byte of the extent in its data file, a multiple of 64; of a commit, where the data ends.
     pub offset: u64,
     /// Bytes stored, without padding.
     pub stored_bytes: u64,
     /// Bytes after inflating.
     pub raw_bytes: u64,
-    /// Records in the extent, or a cursor's value.
+    /// Records in the extent; a cursor's value; of a commit, the records since the one before.
     pub count: u64,
     /// XXH3-128 of the stored bytes *and their padding*.
     pub data_checksum: [u8; 16],

@@ -16,6 +16,7 @@ pub mod bsp;
 pub mod codec;
 pub mod film;
 pub mod geometry;
+pub mod grid;
 pub mod journal;
 pub mod light;
 pub mod map;

@@ -8,7 +8,8 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 pub struct SceneRecord {
     /// What was subtracted from the input's coordinates before rounding to `f32`, m.
     pub origin: [f64; 3],
-    /// Lower corner of the scene's bound (light escapes there), m.
+    /// Lower corner of the box of all triangles and point lights, m. Light escapes at the BSP's root box,
+    /// which is this one grown by the larger of 1 m and 2 % of its diagonal.
     pub bounds_min: [f64; 3],
     /// Upper corner.
     pub bounds_max: [f64; 3],
@@ -60,7 +61,8 @@ pub struct RoomRecord {
 }
 const _: () = assert!(size_of::<RoomRecord>() == 72);
 
-/// An opening from one room to another. Each opening is listed twice, once from either side.
+/// An opening from one room to another: pieces that touch each other. Each opening is listed twice, once
+/// from either side; two rooms may share several.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct PortalRecord {
@@ -82,8 +84,8 @@ const _: () = assert!(size_of::<PortalRecord>() == 32);
 /// Most corners of a portal piece.
 pub const PIECE_CORNERS: usize = 8;
 
-/// A convex planar piece of a portal, counter-clockwise seen from `PortalRecord::room`'s *far* side,
-/// so that its normal points into `PortalRecord::room`.
+/// A convex planar piece of a portal, counter-clockwise seen from inside [`PortalRecord::room`], so that
+/// its normal points into that room.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct PortalPieceRecord {

@@ -180,7 +180,7 @@ pub struct FileHeader {
     pub process: u32,
     /// Number of the file among its kind.
     pub segment: u32,
-    /// Size in bytes of one record where the file is a list of them (journal), else 0.
+    /// Size in bytes of one record where the file is a list of them (journal, seal), else 0.
     pub record_size: u32,
     /// Zero.
     pub reserved: u32,
@@ -192,3 +192,16 @@ pub struct FileHeader {
     pub checksum: u64,
 }
 const _: () = assert!(size_of::<FileHeader>() == 64);
+
+/// One file of a finished stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct SealRecord {
+    /// The file's name in the store, UTF-8, padded with zeros.
+    pub name: [u8; 40],
+    /// Its length, bytes.
+    pub length: u64,
+    /// XXH3-128 of every byte of it.
+    pub hash: [u8; 16],
+}
+const _: () = assert!(size_of::<SealRecord>() == 64);

@@ -1,4 +1,4 @@
-//! Photons and rays in transit between tiles, 64 bytes, raw (paper 000, section 5.3).
+//! Photons and rays in transit between tiles, 64 bytes, raw (Fradin et al. 2005, section 5.3).
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -8,10 +8,11 @@ pub const TRANSIT_UNSCATTERED: u16 = 1;
 pub const TRANSIT_MIRRORED: u16 = 2;
 /// A visibility probe from a light towards a portal: carries no flux, marks rooms.
 pub const TRANSIT_PROBE: u16 = 4;
-/// A camera ray: `light` is the pixel, `photon` the sample; flux is its throughput.
+/// A camera ray: `light` is the pixel (counted over all views), `photon` the sample; flux is its throughput.
 pub const TRANSIT_CAMERA: u16 = 8;
-/// A shadow ray: `light` is the pixel, `photon` the bits of the `f32` distance at which the light sits;
-/// flux is the radiance that arrives if nothing is in the way.
+/// A shadow ray: `light` is the pixel, `photon` the bits of the `f32` distance at which the light sits,
+/// `impacts` the global index of the light's triangle ([`crate::NONE`] for a point); flux is the radiance
+/// that arrives if nothing is in the way.
 pub const TRANSIT_SHADOW: u16 = 16;
 
 /// One ray that waits at the tile of its `leaf`.

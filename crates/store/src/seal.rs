@@ -10,28 +10,17 @@
 
 use std::fs;
 
+pub use enf_layout::segment::SealRecord;
+
 use enf_layout::segment::StageKind;
 use xxhash_rust::xxh3::Xxh3;
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
+use zerocopy::{FromBytes, IntoBytes};
 
 use crate::dir::IoStats;
 use crate::files::{self, HEADER, Named, Role, WINDOW};
 use crate::load;
 use crate::replay::State;
 use crate::{Extent, StoreDir, StoreError};
-
-/// One file of a finished stage.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, FromBytes, IntoBytes, Immutable, KnownLayout)]
-#[repr(C)]
-pub struct SealRecord {
-    /// The file's name in the store, UTF-8, padded with zeros.
-    pub name: [u8; 40],
-    /// Its length, bytes.
-    pub length: u64,
-    /// XXH3-128 of every byte of it.
-    pub hash: [u8; 16],
-}
-const _: () = assert!(size_of::<SealRecord>() == 64);
 
 /// A seal longer than this is no seal.
 const MAX_BYTES: u64 = 1 << 20;

@@ -3,14 +3,8 @@
 //! Rooms are mostly air, so the grid is fine and sparse: a *brick* is a 64-bit mask of its 4 x 4 x 4 cells,
 //! and only cells with a bit own a list of triangles. An empty brick costs twelve bytes and one step.
 //!
-//! A grid is a [`sections`] blob that is used in place, wherever it was loaded:
-//!
-//! | section | element | meaning |
-//! |---|---|---|
-//! | 0 | [`GridHeader`] | one |
-//! | 1 | [`BrickRecord`] | bricks, x fastest, then y, then z |
-//! | 2 | `u32` | first reference of each occupied cell (bricks in order, cells by bit), then the end |
-//! | 3 | `u32` | references: triangles of the tile, ascending in each cell |
+//! A grid is a [`sections`] blob that is used in place, wherever it was loaded; [`enf_layout::grid`]
+//! says what is in it.
 //!
 //! Why the nearest hit is the true one: a hit's point is within `delta` of its triangle; a cell lists
 //! every triangle that touches it when it is inflated by four `delta`; so a hit at `t` is listed in
@@ -23,62 +17,16 @@ mod walk;
 pub use build::{build_grid, grid_build_bytes, grid_bytes_estimate};
 pub use walk::nearest_by_force;
 
+pub use enf_layout::grid::{BrickRecord, GridHeader};
+
+use enf_layout::grid::{BRICK, SECTION_BRICKS, SECTION_HEADER, SECTION_REFERENCES, SECTION_STARTS};
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
-use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 use crate::aabb::Aabb;
 
-const SECTION_HEADER: usize = 0;
-const SECTION_BRICKS: usize = 1;
-const SECTION_STARTS: usize = 2;
-const SECTION_REFERENCES: usize = 3;
-
-/// Cells along an edge of a brick.
-pub(crate) const BRICK: u32 = 4;
 /// Most bricks of one grid.
 pub(crate) const MAX_BRICKS: u64 = 1 << 24;
-
-/// What a grid is made of.
-#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
-#[repr(C)]
-pub struct GridHeader {
-    /// Lower corner of cell (0, 0, 0), m: the mesh's box and four tolerances.
-    pub min: [f32; 3],
-    /// Upper corner of the mesh's box and four tolerances, m. The last bricks may reach beyond.
-    pub max: [f32; 3],
-    /// Edge of a cell, m.
-    pub cell: f32,
-    /// Tolerance that it was built for, m.
-    pub delta: f32,
-    /// Bricks along x, y and z.
-    pub bricks: [u32; 3],
-    /// Triangles of the mesh.
-    pub triangles: u32,
-    /// Cells with at least one triangle.
-    pub cells: u32,
-    /// References in all cells.
-    pub references: u32,
-}
-const _: () = assert!(size_of::<GridHeader>() == 56);
-
-/// 4 x 4 x 4 cells.
-#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
-#[repr(C)]
-pub struct BrickRecord {
-    /// Which cells have triangles: bit `x + 4 y + 16 z` of the 64, low word first.
-    pub mask: [u32; 2],
-    /// Number of occupied cells in the bricks before it.
-    pub first: u32,
-}
-const _: () = assert!(size_of::<BrickRecord>() == 12);
-
-impl BrickRecord {
-    #[inline(always)]
-    pub(crate) fn mask(self) -> u64 {
-        u64::from(self.mask[0]) | u64::from(self.mask[1]) << 32
-    }
-}
 
 /// A grid, borrowed from its blob.
 #[derive(Clone, Copy, Debug)]
