@@ -76,7 +76,7 @@ fn twice_is_nothing_to_do() {
 
     // The driver as a whole.
     let out = dir.path().join("out");
-    let mut run = || {
+    let run = || {
         ok(bin("enfilade")
             .arg("run")
             .arg(&scene)

@@ -17,9 +17,9 @@ use glam::Vec3;
 use crate::RenderArgs;
 
 /// Picture size when neither the view nor a flag says one.
-pub const DEFAULT_WIDTH: u32 = 960;
+pub(crate) const DEFAULT_WIDTH: u32 = 960;
 /// See [`DEFAULT_WIDTH`].
-pub const DEFAULT_HEIGHT: u32 = 600;
+pub(crate) const DEFAULT_HEIGHT: u32 = 600;
 /// Vertical field of view of viewpoints that were found, degrees.
 const FOUND_FOV: f32 = 58.0;
 /// How many viewpoints `--view auto` finds.
@@ -97,7 +97,7 @@ impl Camera {
 ///
 /// # Errors
 /// Exit 2 for an unknown view or room, exit 4 for a bad view file.
-pub fn views(
+pub(crate) fn views(
     args: &RenderArgs,
     tables: &Tables,
     reader: &TileReader<'_>,
@@ -166,7 +166,10 @@ pub fn views(
             views.push(View { name, camera });
         }
     }
-    let pixels: u64 = views.iter().map(|v| u64::from(v.camera.pixels())).sum();
+    let pixels: u64 = views
+        .iter()
+        .map(|v| u64::from(v.camera.width) * u64::from(v.camera.height))
+        .fold(0, u64::saturating_add);
     if pixels > u64::from(u32::MAX) {
         return Err(Failure::usage("the pictures have more than 4294967295 pixels together"));
     }
@@ -287,7 +290,7 @@ fn record(eye: Vec3, target: Vec3) -> ViewRecord {
 }
 
 /// A place in a pixel for sample `index` of `count`: the R2 sequence (Roberts 2018), shifted per pixel.
-pub fn place(index: u32, shift: [f32; 2]) -> (f32, f32) {
+pub(crate) fn place(index: u32, shift: [f32; 2]) -> (f32, f32) {
     // The plastic number's powers, as 32-bit fractions: exact arithmetic, whatever the index.
     let x = index.wrapping_mul(3_242_174_889);
     let y = index.wrapping_mul(2_447_445_414);
