@@ -69,7 +69,7 @@ fn furnace() {
 #[test]
 fn integrating_cube() {
     let dir = tempfile::tempdir().unwrap();
-    for rho in [0.3, 0.8] {
+    for rho in [0.3f64, 0.8] {
         let mesh = dir.path().join("cube.obj");
         let mut model = Model::default();
         model.object("cube");

@@ -10,9 +10,9 @@ use enf_layout::segment::{ExtentKind, StageKind};
 use enf_store::{MemoryBudget, StageReader, StoreDir};
 use serde_json::Value;
 
-/// A binary of this package.
-pub fn bin(name: &str) -> Command {
-    let path = match name {
+/// Where a binary of this package is.
+pub fn bin_path(name: &str) -> &'static str {
+    match name {
         "enfilade" => env!("CARGO_BIN_EXE_enfilade"),
         "enf-partition" => env!("CARGO_BIN_EXE_enf-partition"),
         "enf-grid" => env!("CARGO_BIN_EXE_enf-grid"),
@@ -20,10 +20,34 @@ pub fn bin(name: &str) -> Command {
         "enf-kdtree" => env!("CARGO_BIN_EXE_enf-kdtree"),
         "enf-render" => env!("CARGO_BIN_EXE_enf-render"),
         other => panic!("no binary {other}"),
-    };
-    let mut command = Command::new(path);
+    }
+}
+
+/// A binary of this package, without anything on its standard input: all rooms.
+pub fn bin(name: &str) -> Command {
+    let mut command = Command::new(bin_path(name));
     command.stdin(Stdio::null());
     command
+}
+
+/// A shell script in a folder, in which `$PARTITION`, `$GRID`, `$TRACE`, `$KDTREE`, `$RENDER` and `$ENFILADE` are
+/// the binaries.
+pub fn shell(dir: &Path, script: &str) -> Command {
+    let mut command = Command::new("sh");
+    command.arg("-c").arg(script).current_dir(dir).stdin(Stdio::null());
+    for name in STAGES {
+        command.env(name.trim_start_matches("enf-").to_uppercase(), bin_path(name));
+    }
+    command.env("ENFILADE", bin_path("enfilade"));
+    command
+}
+
+/// The stages' binaries, in order.
+pub const STAGES: [&str; 5] = ["enf-partition", "enf-grid", "enf-trace", "enf-kdtree", "enf-render"];
+
+/// The first word of a stage's files in a store.
+pub fn stage_name(binary: &str) -> &str {
+    binary.trim_start_matches("enf-")
 }
 
 /// Runs and expects success.
@@ -41,10 +65,16 @@ pub fn ok(command: &mut Command) -> Output {
 /// Runs and expects this exit code and a clean message; returns standard error.
 pub fn fails(command: &mut Command, code: i32) -> String {
     let output = command.output().expect("the binary starts");
-    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    let text = stderr(&output);
     assert_eq!(output.status.code(), Some(code), "{command:?}\n{text}");
-    assert!(!text.contains("panicked") && !text.contains("RUST_BACKTRACE"), "{text}");
     assert!(!text.trim().is_empty(), "a failure says why");
+    text
+}
+
+/// What was said; never a panic, whatever happened.
+pub fn stderr(output: &Output) -> String {
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(!text.contains("panicked") && !text.contains("internal error"), "{text}");
     text
 }
 
@@ -163,6 +193,103 @@ pub fn two_rooms(path: &Path) {
         m.quad([[x, 1.7, 2.75], [x, 2.3, 2.75], [x + 0.6, 2.3, 2.75], [x + 0.6, 1.7, 2.75]]);
     }
     m.write(path, MATERIALS);
+}
+
+/// [`two_rooms`] with a third room, more furniture (about 1200 triangles) and, in `rooms.toml`, two views; returns
+/// that scene file.
+pub fn furnished(dir: &Path) -> PathBuf {
+    let mut m = Model::default();
+    m.object("slabs");
+    m.material("white");
+    m.cuboid([-0.2, -0.2, -0.2], [10.4, 8.4, 0.0], false);
+    m.cuboid([-0.2, -0.2, 2.8], [10.4, 8.4, 3.0], false);
+    m.object("walls");
+    m.cuboid([-0.2, -0.2, 0.0], [10.4, 0.0, 2.8], false);
+    m.cuboid([-0.2, 8.2, 0.0], [10.4, 8.4, 2.8], false);
+    m.cuboid([-0.2, 0.0, 0.0], [0.0, 8.2, 2.8], false);
+    m.material("red");
+    m.cuboid([10.2, 0.0, 0.0], [10.4, 8.2, 2.8], false);
+    m.material("white");
+    // Doorways of 0.9 x 2.1 m from the first room to the other two.
+    m.cuboid([5.0, 0.0, 0.0], [5.2, 1.5, 2.8], false);
+    m.cuboid([5.0, 2.4, 0.0], [5.2, 4.0, 2.8], false);
+    m.cuboid([5.0, 1.5, 2.1], [5.2, 2.4, 2.8], false);
+    m.cuboid([0.0, 4.0, 0.0], [3.0, 4.2, 2.8], false);
+    m.cuboid([3.9, 4.0, 0.0], [10.2, 4.2, 2.8], false);
+    m.cuboid([3.0, 4.0, 2.1], [3.9, 4.2, 2.8], false);
+    let mut state = 12345u32;
+    let mut random = |from: f64, to: f64| {
+        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        from + (to - from) * f64::from(state >> 8) / f64::from(1u32 << 24)
+    };
+    for i in 0..80 {
+        m.object(&format!("thing-{i}"));
+        m.material(["white", "red"][i % 2]);
+        let (x0, y0, x1, y1) = [
+            (0.6, 0.6, 4.4, 3.4),
+            (5.8, 0.6, 9.6, 3.4),
+            (0.6, 4.8, 9.6, 7.6),
+        ][i % 3];
+        let half = [random(0.05, 0.3), random(0.05, 0.3), random(0.05, 0.4)];
+        let centre = [random(x0, x1), random(y0, y1), half[2] + random(0.0, 0.3)];
+        m.turned(centre, half, random(-45.0, 45.0));
+    }
+    m.object("mirror");
+    m.material("mirror");
+    m.quad([[2.0, 3.99, 1.0], [2.0, 3.99, 2.0], [1.0, 3.99, 2.0], [1.0, 3.99, 1.0]]);
+    m.object("screen");
+    m.material("glass");
+    m.quad([[6.5, 0.4, 0.0], [6.5, 1.6, 0.0], [6.5, 1.6, 1.9], [6.5, 0.4, 1.9]]);
+    for (name, x, y) in [("lamp-a", 2.2, 1.7), ("lamp-b", 7.6, 1.7), ("lamp-c", 5.0, 6.0)] {
+        m.object(name);
+        m.material("lamp");
+        let (x1, y1) = (x + 0.6, y + 0.6);
+        m.quad([[x, y, 2.75], [x, y1, 2.75], [x1, y1, 2.75], [x1, y, 2.75]]);
+    }
+    m.write(&dir.join("furnished.obj"), MATERIALS);
+    let scene = dir.join("rooms.toml");
+    std::fs::write(
+        &scene,
+        "[[mesh]]\nfile = \"furnished.obj\"\n\
+         [[view]]\nname = \"door\"\neye = [0.4, 0.5, 1.7]\ntarget = [6.0, 2.2, 1.0]\nfov = 60\n\
+         [[view]]\nname = \"hall\"\neye = [9.7, 7.7, 1.6]\ntarget = [3.0, 4.0, 1.1]\nfov = 70\n",
+    )
+    .expect("writable");
+    scene
+}
+
+/// A copy of a store. `without` names stages (by their binaries) whose files are left out.
+pub fn copy_store(from: &Path, to: &Path, without: &[&str]) {
+    let _ = std::fs::remove_dir_all(to);
+    std::fs::create_dir_all(to).expect("writable");
+    for name in files_of(from) {
+        let stage = name.split('.').next().unwrap_or("");
+        if !without.iter().any(|w| stage_name(w) == stage) {
+            std::fs::copy(from.join(&name), to.join(&name)).expect("readable");
+        }
+    }
+}
+
+/// The names of the files in a store, sorted.
+pub fn files_of(store: &Path) -> Vec<String> {
+    let mut names: Vec<String> = std::fs::read_dir(store)
+        .expect("a store")
+        .map(|e| e.expect("an entry").file_name().to_string_lossy().into_owned())
+        .collect();
+    names.sort();
+    names
+}
+
+/// The lines of standard output as room ids.
+pub fn ids(output: &Output) -> Vec<u32> {
+    stdout(output).lines().map(|l| l.parse().expect("an id on every line")).collect()
+}
+
+/// Rooms of a store, the outside included: the ids that stages print.
+pub fn room_count(store: &Path) -> u32 {
+    let text = stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--rooms", "--json"])));
+    let value: Value = serde_json::from_str(&text).expect("JSON");
+    value["rooms"].as_array().expect("a list").len() as u32
 }
 
 /// All five stages of a small scene with the driver; returns the store.

@@ -166,7 +166,10 @@ pub(crate) fn views(
             views.push(View { name, camera });
         }
     }
-    let pixels: u64 = views.iter().map(|v| u64::from(v.camera.pixels())).sum();
+    let pixels: u64 = views
+        .iter()
+        .map(|v| u64::from(v.camera.width) * u64::from(v.camera.height))
+        .fold(0, u64::saturating_add);
     if pixels > u64::from(u32::MAX) {
         return Err(Failure::usage("the pictures have more than 4294967295 pixels together"));
     }

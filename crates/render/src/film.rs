@@ -2,10 +2,10 @@
 
 use std::path::{Path, PathBuf};
 
-use enf_image::{Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from};
+use enf_image::{ImageError, Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from};
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
-use enf_stage::{Failure, Result};
+use enf_stage::{ExitStatus, Failure, Result};
 use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
 
 use crate::{BAND_PIXELS, View};
@@ -82,18 +82,28 @@ pub(crate) fn develop(
             band: None,
         };
         for file in files {
-            write(file, &mut rows, exposure).map_err(|e| Failure::io(e.to_string()))?;
+            write(file, &mut rows, exposure).map_err(failure)?;
         }
         first_pixel += view.camera.pixels();
     }
     Ok(())
 }
 
+/// A film that cannot be read is the store's failure, whatever picture it was for.
+fn failure(error: ImageError) -> Failure {
+    let code = match &error {
+        ImageError::Rows { source, .. } => source.downcast_ref::<StoreError>(),
+        _ => None,
+    };
+    let code = code.map_or(ExitStatus::Io, |e| ExitStatus::from_code(e.exit_code()));
+    Failure::new(code, error.to_string())
+}
+
 fn write(
     file: &Path,
     rows: &mut FilmRows<'_>,
     exposure: Option<f32>,
-) -> std::result::Result<(), enf_image::ImageError> {
+) -> std::result::Result<(), ImageError> {
     match file.extension().and_then(|e| e.to_str()) {
         Some("exr") => write_exr_from(file, rows),
         Some("hdr") => write_hdr_from(file, rows),

@@ -121,16 +121,22 @@ pub struct Cli {
 /// As in the table of exit codes; finished bands are kept, and the same command goes on.
 pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let (common, args) = (&cli.common, &cli.render);
-    if ids.into_selection()? == Selection::Ids(Vec::new()) {
+    let selection = ids.into_selection()?;
+    if selection == Selection::Ids(Vec::new()) {
         return Ok(None);
     }
     let store = StoreDir::open(&cli.store)?;
     let mut session = Session::open(common)?;
     let budget = session.budget.clone();
     let tables = Tables::open(&store, &budget)?;
-    let grid = StageReader::open(&store, StageKind::Grid)?;
+    session::rooms_of(&selection, tables.rooms().len())?;
+    let grid = session::complete(&store, StageKind::Grid, &tables, ExtentKind::Grid, |room| {
+        session::tiles_of(&tables, room)
+    })?;
     let trace = StageReader::open(&store, StageKind::Trace)?;
-    let maps = StageReader::open(&store, StageKind::Kdtree)?;
+    let maps = session::complete(&store, StageKind::Kdtree, &tables, ExtentKind::Map, |room| {
+        room..room + 1
+    })?;
     let reader = TileReader { partition: &tables.partition, grid: &grid, budget: &budget };
     let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &views)?;

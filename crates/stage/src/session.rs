@@ -1,10 +1,11 @@
 //! One run of one stage: its budget, its timeline, and the answer to "was this done already?".
 
+use std::ops::Range;
 use std::time::{Duration, Instant};
 
-use enf_layout::segment::StageKind;
+use enf_layout::segment::{ExtentKind, StageKind};
 use enf_store::{
-    Identity, MemoryBudget, Reservation, StageState, StageWriter, StoreDir, StoreError,
+    Identity, MemoryBudget, Reservation, StageReader, StageState, StageWriter, StoreDir, StoreError,
 };
 
 use parking_lot::Mutex;
@@ -96,6 +97,46 @@ impl Session {
     }
 }
 
+/// What helps against damaged output.
+const MAKE_AGAIN: &str = "--force discards it and everything made from it, and makes it again";
+
+/// How what is in the store relates to what is about to be made.
+enum Standing {
+    /// There is nothing, or the beginning of the same.
+    New,
+    /// The same, finished.
+    Finished,
+    /// Something else; one line for each difference.
+    Different(Vec<String>),
+}
+
+fn standing(
+    store: &StoreDir,
+    stage: StageKind,
+    identity: &Identity,
+    force: bool,
+) -> std::result::Result<Standing, StoreError> {
+    let state = store.stage_state(stage)?;
+    if state == StageState::Absent {
+        return Ok(Standing::New);
+    }
+    let Some(found) = store.identity(stage)? else { return Ok(Standing::New) };
+    let differences = found.differences(identity);
+    if !differences.is_empty() {
+        return Ok(Standing::Different(differences));
+    }
+    if state != StageState::Sealed {
+        if force {
+            StageReader::open_unsealed(store, stage)?;
+        }
+        return Ok(Standing::New);
+    }
+    if force {
+        enf_store::verify(store, stage)?;
+    }
+    Ok(Standing::Finished)
+}
+
 /// What a stage finds in the store before it starts.
 pub enum Begin {
     /// The same work is finished.
@@ -105,10 +146,12 @@ pub enum Begin {
 }
 
 /// Opens a stage for writing. Finished with the same identity is [`Begin::Finished`]; unfinished is resumed;
-/// another identity is refused, or discarded (with all later stages) under `force`.
+/// another identity is refused, or discarded (with all later stages) under `force`. So is, under `force`, a stage
+/// whose files are damaged; to know that, it is read once.
 ///
 /// # Errors
-/// Exit 2 when another run's output is in the way, naming the differences; exit 5 when another process owns it.
+/// Exit 2 when another run's output is in the way, naming the differences; exit 4 when what is there is damaged;
+/// exit 5 when another process owns it.
 pub fn begin(
     store: &StoreDir,
     stage: StageKind,
@@ -116,17 +159,16 @@ pub fn begin(
     identity: &Identity,
     force: bool,
 ) -> Result<Begin> {
-    if store.stage_state(stage)? != StageState::Absent
-        && let Some(found) = store.identity(stage)?
-    {
-        let differences = found.differences(identity);
-        if differences.is_empty() {
-            if store.stage_state(stage)? == StageState::Sealed {
-                return Ok(Begin::Finished);
-            }
-        } else if force {
+    let standing = standing(store, stage, identity, force);
+    match standing {
+        Ok(Standing::New) => {}
+        Ok(Standing::Finished) => return Ok(Begin::Finished),
+        Ok(Standing::Different(_)) | Err(StoreError::Corrupt { .. } | StoreError::Missing { .. })
+            if force =>
+        {
             store.discard_from(stage)?;
-        } else {
+        }
+        Ok(Standing::Different(differences)) => {
             return Err(Failure::usage(format!(
                 "{} holds another {} run: {}",
                 store.path().display(),
@@ -136,6 +178,11 @@ pub fn begin(
             .with_hint(
                 "--force discards it and everything made from it, or choose another output",
             ));
+        }
+        Err(error) => {
+            let damaged = matches!(error, StoreError::Corrupt { .. });
+            let failure = Failure::from(error);
+            return Err(if damaged { failure.with_hint(MAKE_AGAIN) } else { failure });
         }
     }
     match StageWriter::open(store, stage, process, identity) {
@@ -164,6 +211,42 @@ pub fn inherit(store: &StoreDir, from: StageKind) -> Result<Identity> {
         identity.push(from.name(), hash);
     }
     Ok(identity)
+}
+
+/// Opens the stage before, which must have done every room: an extent of `kind` for each of the ids that `of` gives
+/// to a room.
+///
+/// # Errors
+/// Exit 4 when it is missing, damaged or unfinished; then the first room that it lacks is named.
+pub fn complete(
+    store: &StoreDir,
+    stage: StageKind,
+    tables: &Tables,
+    kind: ExtentKind,
+    of: impl Fn(u32) -> Range<u32>,
+) -> Result<StageReader> {
+    let name = stage.name();
+    match StageReader::open(store, stage) {
+        Err(StoreError::Unfinished { .. }) => {
+            let reader = StageReader::open_unsealed(store, stage)?;
+            let lacks =
+                |room: &u32| of(*room).any(|id| reader.find(kind, id).is_empty());
+            let path = store.path().display();
+            let lacking = (0..tables.rooms().len() as u32).find(lacks);
+            Err(Failure::input(match lacking {
+                Some(room) => format!("room {room} of {path} has not been through enf-{name} yet"),
+                None => format!("{name} in {path} is unfinished"),
+            })
+            .with_hint(format!("run enf-{name} again, it goes on where it stopped")))
+        }
+        other => Ok(other?),
+    }
+}
+
+/// The tiles of a room.
+pub fn tiles_of(tables: &Tables, room: u32) -> Range<u32> {
+    let room = &tables.rooms()[room as usize];
+    room.first_tile..room.first_tile + room.tile_count
 }
 
 /// The rooms that a selection names, in its order; an id that the store does not have is bad input.

@@ -16,7 +16,7 @@ use std::time::Duration;
 use clap::Args;
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use enf_layout::photon::PhotonRecord;
-use enf_layout::segment::StageKind;
+use enf_layout::segment::{ExtentKind, StageKind};
 use enf_layout::transit::TransitRecord;
 use enf_stage::resident::{TileCache, TileData, TileReader};
 use enf_stage::session::{self, Begin, Session};
@@ -36,8 +36,7 @@ use tracer::{Context, Job, PROBES_PER_LIGHT, Waiting, Work};
 const JOB_PHOTONS: u64 = 4096;
 /// Photons of one visit, after which the scheduler may think again and a commit is possible.
 const VISIT_PHOTONS: u64 = 1 << 20;
-/// A kill loses at most this much time, or these bytes, of work.
-const EPOCH: Duration = Duration::from_secs(10);
+/// A kill loses at most these bytes of work, or the time that `--epoch` says.
 const EPOCH_BYTES: u64 = 256 << 20;
 /// Default rows and records per row of the table of incoming photons (the paper, section 7.2).
 const QUEUE_ROWS: usize = 64;
@@ -84,9 +83,19 @@ pub struct TraceArgs {
     /// Photons that every light emits (k, M, G: powers of 1000)
     #[arg(long, value_name = "N", default_value = "20k", value_parser = parse_count)]
     pub photons_per_light: u64,
+    /// Seconds between commits: a kill loses at most this much work (never changes a result)
+    #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = parse_epoch)]
+    pub epoch: Duration,
     /// Flags of the queue.
     #[command(flatten)]
     pub queue: QueueArgs,
+}
+
+fn parse_epoch(text: &str) -> std::result::Result<Duration, String> {
+    let seconds = text.parse().ok().filter(|s: &f64| *s >= 0.0);
+    seconds
+        .and_then(|s| Duration::try_from_secs_f64(s).ok())
+        .ok_or_else(|| "a number of seconds from 0 is wanted".into())
 }
 
 impl TraceArgs {
@@ -127,13 +136,17 @@ pub struct Cli {
 /// As in the table of exit codes; everything committed is kept, and the same command goes on.
 pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::Value>> {
     let common = &cli.common;
-    if ids.into_selection()? == Selection::Ids(Vec::new()) {
+    let selection = ids.into_selection()?;
+    if selection == Selection::Ids(Vec::new()) {
         return Ok(None);
     }
     let store = StoreDir::open(&cli.store)?;
     let mut session = Session::open(common)?;
     let tables = Tables::open(&store, &session.budget)?;
-    let grid = StageReader::open(&store, StageKind::Grid)?;
+    session::rooms_of(&selection, tables.rooms().len())?;
+    let grid = session::complete(&store, StageKind::Grid, &tables, ExtentKind::Grid, |room| {
+        session::tiles_of(&tables, room)
+    })?;
     if tables.lights().is_empty() {
         return Err(Failure::input(format!("{} has no light", cli.store.display()))
             .with_hint("partition it again with --ceiling-lights 500lx, or give a material Ke"));
@@ -263,6 +276,7 @@ fn trace(
             finished,
             messages,
             block,
+            epoch: cli.trace.epoch,
             cursors,
             scheduler: Scheduler::new(queue.schedule, tables.tiles().len() as u32, block as u64),
             lane: timeline.lane("schedule"),
@@ -291,6 +305,7 @@ struct Driver<'a> {
     finished: Receiver<std::result::Result<(), Failure>>,
     messages: Sender<Message>,
     block: usize,
+    epoch: Duration,
     cursors: BTreeMap<u32, u64>,
     scheduler: Scheduler,
     lane: enf_stage::Lane,
@@ -360,7 +375,7 @@ impl Driver<'_> {
                 100.0 * status.finished_w / emitted_w.max(f64::MIN_POSITIVE)
             ));
             if status.uncommitted > EPOCH_BYTES
-                || (status.uncommitted > 0 && status.committed_at.elapsed() > EPOCH)
+                || (status.uncommitted > 0 && status.committed_at.elapsed() > self.epoch)
             {
                 let _span = self.lane.io("commit", 0u32);
                 self.ask(|reply| Message::Commit { reply })??;
