@@ -2,7 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
-use enf_image::{ImageError, Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from};
+use enf_image::{
+    ImageError, Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from,
+};
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::{ExitStatus, Failure, Result};

@@ -163,7 +163,8 @@ pub fn begin(
     match standing {
         Ok(Standing::New) => {}
         Ok(Standing::Finished) => return Ok(Begin::Finished),
-        Ok(Standing::Different(_)) | Err(StoreError::Corrupt { .. } | StoreError::Missing { .. })
+        Ok(Standing::Different(_))
+        | Err(StoreError::Corrupt { .. } | StoreError::Missing { .. })
             if force =>
         {
             store.discard_from(stage)?;
@@ -229,8 +230,7 @@ pub fn complete(
     match StageReader::open(store, stage) {
         Err(StoreError::Unfinished { .. }) => {
             let reader = StageReader::open_unsealed(store, stage)?;
-            let lacks =
-                |room: &u32| of(*room).any(|id| reader.find(kind, id).is_empty());
+            let lacks = |room: &u32| of(*room).any(|id| reader.find(kind, id).is_empty());
             let path = store.path().display();
             let lacking = (0..tables.rooms().len() as u32).find(lacks);
             Err(Failure::input(match lacking {
