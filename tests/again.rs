@@ -2,14 +2,15 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, digest, fails, files_of, furnished, ids, ok, room_count, stderr};
+use common::{
+    bin, bin_path, copy_store, digest, fails, files_of, furnished, ids, ok, room_count, stderr,
+};
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-const PICTURE: [&str; 8] =
-    ["--view", "door", "--width", "32", "--height", "24", "--samples", "2"];
+const PICTURE: [&str; 8] = ["--view", "door", "--width", "32", "--height", "24", "--samples", "2"];
 
 /// Partitioned and with grids.
 fn grids(dir: &Path) -> PathBuf {
@@ -50,7 +51,10 @@ fn stages(dir: &Path, store: &Path) -> Vec<Command> {
 
 /// Every byte of a store.
 fn bytes_of(store: &Path) -> Vec<(String, Vec<u8>)> {
-    files_of(store).into_iter().map(|f| (f.clone(), std::fs::read(store.join(f)).unwrap())).collect()
+    files_of(store)
+        .into_iter()
+        .map(|f| (f.clone(), std::fs::read(store.join(f)).unwrap()))
+        .collect()
 }
 
 #[test]
@@ -63,7 +67,8 @@ fn twice_is_nothing_to_do() {
     let picture = std::fs::read(dir.path().join("door.png")).unwrap();
     for (mut command, first) in stages(dir.path(), &store).into_iter().zip(&first) {
         // Flags that change no result are no difference.
-        let again = ok(command.args(["--threads", "1", "--memory", "300M", "--progress", "always"]));
+        let again =
+            ok(command.args(["--threads", "1", "--memory", "300M", "--progress", "always"]));
         assert!(stderr(&again).contains("nothing to do"), "{command:?}: {}", stderr(&again));
         let mut lines: Vec<_> = common::stdout(&again).lines().map(String::from).collect();
         let mut wanted: Vec<_> = common::stdout(first).lines().map(String::from).collect();
@@ -213,7 +218,8 @@ fn signal(child: &Child, signal: Signal) {
 fn delays(seed: u64) -> impl Iterator<Item = Duration> {
     let mut state = seed;
     std::iter::repeat_with(move || {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         Duration::from_micros(1000 + (state >> 33) % 120_000)
     })
 }
@@ -250,8 +256,16 @@ fn survives(stage: &str, store: &Path, flags: &[&str], how: Signal, seed: u64) -
 fn a_killed_trace_goes_on_to_the_same_photons() {
     let dir = tempfile::tempdir().unwrap();
     let store = grids(dir.path());
-    let flags =
-        ["--photons-per-light", "30k", "--queue-rows", "4", "--queue-block", "300", "--epoch", "0.01"];
+    let flags = [
+        "--photons-per-light",
+        "30k",
+        "--queue-rows",
+        "4",
+        "--queue-block",
+        "300",
+        "--epoch",
+        "0.01",
+    ];
     let whole = dir.path().join("whole.enf");
     copy_store(&store, &whole, &[]);
     ok(bin("enf-trace").arg(&whole).args(flags));
@@ -268,7 +282,8 @@ fn a_killed_trace_goes_on_to_the_same_photons() {
         // What was counted over all the runs is what one run counts.
         let ledger = |store: &Path| {
             let mut command = bin("enfilade");
-            let text = common::stdout(&ok(command.arg("inspect").arg(store).args(["--ledger", "--json"])));
+            let text =
+                common::stdout(&ok(command.arg("inspect").arg(store).args(["--ledger", "--json"])));
             let value: serde_json::Value = serde_json::from_str(&text).unwrap();
             let all = value["ledger"].as_array().unwrap().last().unwrap().clone();
             ["emitted", "absorbed", "escaped", "stored"].map(|key| all[key].as_u64().unwrap())
@@ -318,7 +333,18 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
     let whole = dir.path().join("whole");
     std::fs::create_dir(&whole).unwrap();
     let scene = furnished(dir.path());
-    let flags = ["--photons-per-light", "10k", "--epoch", "0.01", "--view", "all", "--width", "160", "--height", "120"];
+    let flags = [
+        "--photons-per-light",
+        "10k",
+        "--epoch",
+        "0.01",
+        "--view",
+        "all",
+        "--width",
+        "160",
+        "--height",
+        "120",
+    ];
     let run = |out: &Path| {
         let mut command = Command::new(bin_path("enfilade"));
         command.arg("run").arg(&scene).arg("-o").arg(out).args(flags);
@@ -349,7 +375,8 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
     }
     assert!(killed > 0);
     for file in ["door.exr", "door.png", "hall.exr", "hall.png"] {
-        let same = std::fs::read(tried.join(file)).unwrap() == std::fs::read(whole.join(file)).unwrap();
+        let same =
+            std::fs::read(tried.join(file)).unwrap() == std::fs::read(whole.join(file)).unwrap();
         assert!(same, "{file} after {killed} kills");
     }
     for kind in ["photons", "maps"] {

@@ -55,7 +55,9 @@ fn a_model_without_triangles() {
 #[test]
 fn numbers_that_are_none() {
     let dir = tempfile::tempdir().unwrap();
-    for (name, vertex) in [("nan.obj", "nan"), ("inf.obj", "inf"), ("huge.obj", "1e39"), ("word.obj", "seven")] {
+    for (name, vertex) in
+        [("nan.obj", "nan"), ("inf.obj", "inf"), ("huge.obj", "1e39"), ("word.obj", "seven")]
+    {
         let text = format!("v 0 0 0\nv 1 {vertex} 0\nv 0 1 0\nf 1 2 3\n");
         let scene = write(dir.path(), name, &text);
         refused(dir.path(), &scene, &[name]);
@@ -94,7 +96,11 @@ fn a_scene_file_with_mistakes() {
     let mesh = "[[mesh]]\nfile = \"rooms.obj\"\n";
     for (name, text, words) in [
         ("key.toml", format!("colour = \"red\"\n{mesh}"), &["key.toml", "colour"][..]),
-        ("light.toml", format!("{mesh}[[light]]\nkind = \"point\"\nbrigtness = 3\n"), &["brigtness"]),
+        (
+            "light.toml",
+            format!("{mesh}[[light]]\nkind = \"point\"\nbrigtness = 3\n"),
+            &["brigtness"],
+        ),
         ("kind.toml", format!("{mesh}[[light]]\nname = \"l\"\nkind = \"laser\"\n"), &["laser"]),
         ("syntax.toml", format!("{mesh}[[view\n"), &["syntax.toml"]),
         ("none.toml", String::new(), &["none.toml"]),
@@ -161,7 +167,11 @@ fn a_view_that_is_not_there() {
     let missing = dir.path().join("missing.toml").display().to_string();
     let said = fails(&mut render(&["--views", &missing]), 4);
     assert!(said.contains("missing.toml"), "{said}");
-    let blind = write(dir.path(), "blind.toml", "[[view]]\nname = \"b\"\neye = [1, 1, 1]\ntarget = [1, 1, 1]\n");
+    let blind = write(
+        dir.path(),
+        "blind.toml",
+        "[[view]]\nname = \"b\"\neye = [1, 1, 1]\ntarget = [1, 1, 1]\n",
+    );
     let said = fails(&mut render(&["--views", &blind.display().to_string()]), 4);
     assert!(said.contains("blind.toml") || said.contains("view b"), "{said}");
     let empty = write(dir.path(), "empty.toml", "");
@@ -279,7 +289,10 @@ fn flags_that_make_no_sense() {
     for name in common::STAGES {
         for flag in ["--help", "--version"] {
             let output = ok(bin(name).arg(flag));
-            assert!(!common::stdout(&output).is_empty() && stderr(&output).is_empty(), "{name} {flag}");
+            assert!(
+                !common::stdout(&output).is_empty() && stderr(&output).is_empty(),
+                "{name} {flag}"
+            );
         }
     }
 }

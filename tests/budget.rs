@@ -13,19 +13,16 @@ const MIB: f64 = 1024.0 * 1024.0;
 /// Runs a stage and watches from outside how much of it the kernel calls resident, in MiB. The figure only grows, so
 /// that the last look before the end misses next to nothing.
 fn watched(command: &mut Command) -> (Output, f64) {
-    let mut child = command
-        .stdin(Stdio::null())
-        .stdout(Stdio::piped())
-        .stderr(Stdio::piped())
-        .spawn()
-        .unwrap();
+    let mut child =
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     let status = format!("/proc/{}/status", child.id());
     let mut peak: f64 = 0.0;
     loop {
         let text = std::fs::read_to_string(&status).unwrap_or_default();
-        let now = text.lines().find_map(|l| l.strip_prefix("VmHWM:")).and_then(|rest| {
-            rest.trim().trim_end_matches("kB").trim().parse::<f64>().ok()
-        });
+        let now = text
+            .lines()
+            .find_map(|l| l.strip_prefix("VmHWM:"))
+            .and_then(|rest| rest.trim().trim_end_matches("kB").trim().parse::<f64>().ok());
         peak = peak.max(now.unwrap_or(0.0) / 1024.0);
         if child.try_wait().unwrap().is_some() {
             break;
@@ -55,7 +52,17 @@ fn every_stage_stays_resident_below_64_mib() {
                 command.args(["--photons-per-light", "150k"]);
             }
             "enf-render" => {
-                command.args(["--view", "all", "--width", "640", "--height", "480", "--samples", "1", "-o"]);
+                command.args([
+                    "--view",
+                    "all",
+                    "--width",
+                    "640",
+                    "--height",
+                    "480",
+                    "--samples",
+                    "1",
+                    "-o",
+                ]);
                 command.arg(dir.path().join("pictures"));
             }
             _ => {}
@@ -79,8 +86,19 @@ fn one_process_for_everything_stays_below_64_mib() {
     let out = dir.path().join("out");
     let mut command = Command::new(bin_path("enfilade"));
     command.arg("run").arg(&scene).arg("-o").arg(&out).args([
-        "--memory", "64M", "--quiet", "--photons-per-light", "60k", "--view", "all", "--width", "320",
-        "--height", "200", "--samples", "2",
+        "--memory",
+        "64M",
+        "--quiet",
+        "--photons-per-light",
+        "60k",
+        "--view",
+        "all",
+        "--width",
+        "320",
+        "--height",
+        "200",
+        "--samples",
+        "2",
     ]);
     let (_, seen) = watched(&mut command);
     let stats = json(&out.join("stats.json"));
@@ -134,7 +152,13 @@ fn small_budgets_work_or_are_refused() {
     for memory in ["0", "1", "100K", "1M", "4M", "12M", "16M", "20M", "24M", "32M", "48M"] {
         let store = dir.path().join(format!("{memory}.enf"));
         let mut partition = bin("enf-partition");
-        let output = partition.arg(&scene).arg("-o").arg(&store).args(["--memory", memory]).output().unwrap();
+        let output = partition
+            .arg(&scene)
+            .arg("-o")
+            .arg(&store)
+            .args(["--memory", memory])
+            .output()
+            .unwrap();
         let said = stderr(&output);
         match output.status.code() {
             Some(0) => {

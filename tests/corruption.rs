@@ -3,7 +3,9 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, digest, fails, files_of, furnished, ok, shell, stage_name, stderr};
+use common::{
+    bin, bin_path, copy_store, digest, fails, files_of, furnished, ok, shell, stage_name, stderr,
+};
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
@@ -101,7 +103,8 @@ fn flips(len: usize, count: usize) -> Vec<Damage> {
     let mut places = vec![0, len - 1, len / 2, 8, 20, 40, 64, 72, 96, len.saturating_sub(17)];
     let mut state = len as u64;
     while places.len() < count * 2 {
-        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        state =
+            state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         places.push((state >> 33) as usize % len);
     }
     places.retain(|&p| p < len);
@@ -175,7 +178,10 @@ fn later_stages_refuse_or_are_right() {
                             right += 1;
                         }
                         Some(4) => {
-                            assert!(said.contains(name.as_str()), "{reads}, {name} {damage:?}: {said}");
+                            assert!(
+                                said.contains(name.as_str()),
+                                "{reads}, {name} {damage:?}: {said}"
+                            );
                             refused += 1;
                         }
                         code => panic!("{reads} after {damage:?} of {name}: {code:?} {said}"),
@@ -199,7 +205,12 @@ fn own_damage_is_refused_and_force_heals_it() {
             .find(|s| name.starts_with(&format!("{}.", stage_name(s))))
             .unwrap();
         let len = length(&whole.store.join(&name));
-        for damage in [Damage::Flip(len / 2), Damage::Flip(3), Damage::Truncate(len / 3), Damage::Flip(len - 3)] {
+        for damage in [
+            Damage::Flip(len / 2),
+            Damage::Flip(3),
+            Damage::Truncate(len / 3),
+            Damage::Flip(len - 3),
+        ] {
             copy_store(&whole.store, &store, &[]);
             std::fs::write(store.with_extension("exr"), &whole.picture).unwrap();
             damage.apply(&store.join(&name));
@@ -235,7 +246,8 @@ fn an_unfinished_map_stage_refuses_or_is_right() {
 #[test]
 fn an_unfinished_trace_refuses_or_is_right() {
     let whole = whole();
-    let flags = ["--photons-per-light", "10k", "--epoch", "0", "--queue-rows", "2", "--queue-block", "100"];
+    let flags =
+        ["--photons-per-light", "10k", "--epoch", "0", "--queue-rows", "2", "--queue-block", "100"];
     let (all, half) = (whole.dir.path().join("all.enf"), whole.dir.path().join("half.enf"));
     for store in [&all, &half] {
         copy_store(&whole.store, store, &["enf-trace", "enf-kdtree", "enf-render"]);
@@ -252,7 +264,9 @@ fn an_unfinished_trace_refuses_or_is_right() {
         .unwrap();
     let journal = half.join("trace.000.journal");
     let begun = Instant::now();
-    while std::fs::metadata(&journal).map_or(0, |m| m.len()) < 6000 && child.try_wait().unwrap().is_none() {
+    while std::fs::metadata(&journal).map_or(0, |m| m.len()) < 6000
+        && child.try_wait().unwrap().is_none()
+    {
         assert!(begun.elapsed() < Duration::from_secs(20));
         std::thread::sleep(Duration::from_micros(200));
     }
@@ -265,7 +279,13 @@ fn an_unfinished_trace_refuses_or_is_right() {
     unfinished(&whole, &half, "enf-trace", &flags, |store| digest(store, "photons") == photons);
 }
 
-fn unfinished(whole: &Whole, half: &Path, name: &str, flags: &[&str], right: impl Fn(&Path) -> bool) {
+fn unfinished(
+    whole: &Whole,
+    half: &Path,
+    name: &str,
+    flags: &[&str],
+    right: impl Fn(&Path) -> bool,
+) {
     let store = whole.dir.path().join("tried.enf");
     let prefix = format!("{}.", stage_name(name));
     let (mut refused, mut went_on) = (0, 0);

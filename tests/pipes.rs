@@ -2,7 +2,9 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, digest, fails, furnished, ids, ok, room_count, shell, stdout};
+use common::{
+    bin, bin_path, copy_store, digest, fails, furnished, ids, ok, room_count, shell, stdout,
+};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
@@ -15,12 +17,9 @@ fn store(dir: &Path, until: &str) -> PathBuf {
     let scene = furnished(dir);
     let store = dir.join("b.enf");
     ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).arg("--quiet"));
-    for (stage, flags) in [
-        ("enf-grid", ""),
-        ("enf-trace", PHOTONS),
-        ("enf-kdtree", ""),
-        ("enf-render", ""),
-    ] {
+    for (stage, flags) in
+        [("enf-grid", ""), ("enf-trace", PHOTONS), ("enf-kdtree", ""), ("enf-render", "")]
+    {
         if stage == until {
             return store;
         }
@@ -40,7 +39,11 @@ fn five_stages_in_one_pipe_are_run() {
              \"$KDTREE\" b.enf | \"$RENDER\" b.enf {PICTURE} -o door.exr"
         ),
     ));
-    assert_eq!(stdout(&piped).trim(), "door.exr", "the picture's path is all that is left on stdout");
+    assert_eq!(
+        stdout(&piped).trim(),
+        "door.exr",
+        "the picture's path is all that is left on stdout"
+    );
     let out = dir.path().join("out");
     let run = ok(bin("enfilade")
         .arg("run")
@@ -107,7 +110,8 @@ fn ids_select_rooms_and_the_rest_can_follow() {
     let some = ok(&mut shell(dir.path(), "seq 1 2 | \"$KDTREE\" b.enf --quiet"));
     assert_eq!(ids(&some), [1, 2]);
     // An unfinished stage is not one that the next may use, and it names the first room that lacks.
-    let said = fails(bin("enf-render").arg(&store).args(["--view", "door", "-o"]).arg(dir.path()), 4);
+    let said =
+        fails(bin("enf-render").arg(&store).args(["--view", "door", "-o"]).arg(dir.path()), 4);
     assert!(said.contains("room 0") && said.contains("enf-kdtree"), "{said}");
     let said = fails(bin("enfilade").arg("inspect").arg(&store).args(["--digest", "maps"]), 4);
     assert!(said.contains("unfinished"), "{said}");
@@ -138,7 +142,11 @@ fn a_reader_that_leaves_is_no_failure() {
         let said = stdout(&ok(&mut shell(dir.path(), &script)));
         let rooms = room_count(&store).to_string();
         let words: Vec<&str> = said.split_whitespace().collect();
-        assert_eq!(words, ["0", "0", "0", &rooms], "{stage}: the first id, two exit codes, all ids");
+        assert_eq!(
+            words,
+            ["0", "0", "0", &rooms],
+            "{stage}: the first id, two exit codes, all ids"
+        );
     }
     for (stage, flags) in [("enf-grid", ""), ("enf-trace", PHOTONS), ("enf-kdtree", "")] {
         ok(bin(stage).arg(&whole).args(flags.split_whitespace()));
@@ -210,7 +218,8 @@ fn a_line_that_is_no_id_is_exit_4() {
         ("0 1", "KDTREE", "line 1"),
         ("99999", "GRID", "99999"),
     ] {
-        let said = fails(&mut shell(dir.path(), &format!("printf '{input}\\n' | \"${stage}\" b.enf")), 4);
+        let said =
+            fails(&mut shell(dir.path(), &format!("printf '{input}\\n' | \"${stage}\" b.enf")), 4);
         assert!(said.contains(says), "{input}: {said}");
     }
     assert_eq!(common::files_of(&store), before, "nothing was begun");

@@ -139,7 +139,14 @@ fn spills_evictions_and_reloads_change_nothing() {
     let (maps, pictures) = finish(&mut first, base);
     let tight: &[&str] = &["--queue-rows", "4", "--queue-block", "64", "--resident-rooms", "1"];
     let tightest: &[&str] = &[
-        "--queue-rows", "1", "--queue-block", "1", "--resident-rooms", "1", "--schedule", "most-work",
+        "--queue-rows",
+        "1",
+        "--queue-block",
+        "1",
+        "--resident-rooms",
+        "1",
+        "--schedule",
+        "most-work",
     ];
     for (name, queue) in [("tight", tight), ("tightest", tightest)] {
         let tiles: &[&str] = if name == "tight" { &["--random-tiles", "20"] } else { &[] };
@@ -177,7 +184,8 @@ fn photons_are_the_same_over_any_rooms() {
         ("12-tiled", &["--rooms", "12", "--random-tiles", "30", "--seed", "3"]),
     ];
     for (name, flags) in variants {
-        let made = make(&scene, dir.path(), name, Variant { partition: flags, ..Variant::default() });
+        let made =
+            make(&scene, dir.path(), name, Variant { partition: flags, ..Variant::default() });
         ledger_closes(&made);
         assert_eq!(made.photons, first.photons, "--rooms {name}");
         let rooms: f64 = name.split('-').next().unwrap().parse().unwrap();
@@ -200,7 +208,8 @@ fn another_seed_is_another_result() {
     let dir = tempfile::tempdir().unwrap();
     let scene = furnished(dir.path());
     let one = make(&scene, dir.path(), "one", Variant::default());
-    let two = make(&scene, dir.path(), "two", Variant { later: &["--seed", "2"], ..Variant::default() });
+    let two =
+        make(&scene, dir.path(), "two", Variant { later: &["--seed", "2"], ..Variant::default() });
     assert_ne!(one.photons, two.photons);
     assert_eq!(digest(&one.store, "geometry"), digest(&two.store, "geometry"));
 }

@@ -43,7 +43,8 @@ pub fn shell(dir: &Path, script: &str) -> Command {
 }
 
 /// The stages' binaries, in order.
-pub const STAGES: [&str; 5] = ["enf-partition", "enf-grid", "enf-trace", "enf-kdtree", "enf-render"];
+pub const STAGES: [&str; 5] =
+    ["enf-partition", "enf-grid", "enf-trace", "enf-kdtree", "enf-render"];
 
 /// The first word of a stage's files in a store.
 pub fn stage_name(binary: &str) -> &str {
@@ -225,11 +226,8 @@ pub fn furnished(dir: &Path) -> PathBuf {
     for i in 0..80 {
         m.object(&format!("thing-{i}"));
         m.material(["white", "red"][i % 2]);
-        let (x0, y0, x1, y1) = [
-            (0.6, 0.6, 4.4, 3.4),
-            (5.8, 0.6, 9.6, 3.4),
-            (0.6, 4.8, 9.6, 7.6),
-        ][i % 3];
+        let (x0, y0, x1, y1) =
+            [(0.6, 0.6, 4.4, 3.4), (5.8, 0.6, 9.6, 3.4), (0.6, 4.8, 9.6, 7.6)][i % 3];
         let half = [random(0.05, 0.3), random(0.05, 0.3), random(0.05, 0.4)];
         let centre = [random(x0, x1), random(y0, y1), half[2] + random(0.0, 0.3)];
         m.turned(centre, half, random(-45.0, 45.0));

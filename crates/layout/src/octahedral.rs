@@ -38,7 +38,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn angular_error_is_below_a_tenth_of_a_degree(z in -1.0f64..1.0, phi in 0.0f64..6.283) {
+        fn angular_error_is_below_a_tenth_of_a_degree(z in -1.0f64..1.0, phi in 0.0f64..core::f64::consts::TAU) {
             let r = (1.0 - z * z).sqrt();
             let v = [(r * libm::cos(phi)) as f32, (r * libm::sin(phi)) as f32, z as f32];
             let w = decode(encode(v));

@@ -297,7 +297,7 @@ fn partition(
     };
     if let Some(lux) = args.ceiling_lights {
         let hung = luminaires::hang(&mut world, rooms.rooms(), lux);
-        say(common, &format!("hung {hung} ceiling lights for {lux} lx"));
+        say(common, format!("hung {hung} ceiling lights for {lux} lx"));
     }
     if world.lights.is_empty() {
         return Err(Failure::input("no room has a ceiling to hang a light from")
@@ -460,7 +460,7 @@ fn report(cli: &Cli, session: &mut Session, tables: &enf_stage::tables::Tables) 
     stats.set("lights", tables.lights().len());
     say(
         &cli.common,
-        &format!(
+        format!(
             "{} triangles, {rooms} rooms in {} tiles, {} portals ({area:.1} m2), {} lights",
             tables.scene.triangles,
             tables.tiles().len(),

@@ -495,7 +495,7 @@ fn report(cli: &Cli, session: &mut Session, tables: &Tables, totals: &Totals) {
     stats.set("lights", tables.lights().len());
     say(
         &cli.common,
-        &format!(
+        format!(
             "{} photons emitted = {} absorbed + {} escaped; {} impacts stored, {:.2} reflections a photon",
             sum.emitted,
             sum.absorbed,

@@ -30,6 +30,9 @@ struct Node {
 }
 
 struct World {
+    plan: enf_building::plan::Plan,
+    /// Emitting triangles of each room.
+    own: Vec<Vec<u32>>,
     triangles: Vec<Triangle>,
     nodes: Vec<Node>,
     lights: Vec<u32>,
@@ -75,11 +78,24 @@ impl World {
                 glow,
             });
         });
-        let mut world = Self { triangles, nodes: Vec::new(), lights: Vec::new() };
+        let mut world = Self {
+            plan: b.plan.clone(),
+            own: Vec::new(),
+            triangles,
+            nodes: Vec::new(),
+            lights: Vec::new(),
+        };
         world.build();
         world.lights = (0..world.triangles.len() as u32)
             .filter(|&i| world.triangles[i as usize].glow != Vec3::ZERO)
             .collect();
+        world.own = vec![Vec::new(); world.plan.rooms.len()];
+        for &i in &world.lights {
+            let t = &world.triangles[i as usize];
+            if let Some(room) = world.plan.room_at(t.a.as_dvec3()) {
+                world.own[room].push(i);
+            }
+        }
         world
     }
 
@@ -226,7 +242,7 @@ impl World {
                     weight *= Vec3::new(kd[0] as f32, kd[1] as f32, kd[2] as f32);
                     sum += weight * self.direct(p + n * 2e-4, n, rng);
                     bounce += 1;
-                    if bounce > 4 {
+                    if bounce > 3 {
                         break;
                     }
                     let (a, r) =
@@ -245,8 +261,13 @@ impl World {
     /// Irradiance / pi from the lamps: one sample, chosen by distance among a few.
     fn direct(&self, p: Vec3, n: Vec3, rng: &mut Rng) -> Vec3 {
         let (mut chosen, mut total) = (None, 0.0);
-        for _ in 0..24 {
-            let i = self.lights[rng.below(self.lights.len())] as usize;
+        let empty = Vec::new();
+        let room = self.plan.room_at(p.as_dvec3());
+        let own = room.map_or(&empty, |r| &self.own[r]);
+        for k in 0..16 {
+            // Half from the room itself, half from the whole building.
+            let list = if k % 2 == 0 && !own.is_empty() { own } else { &self.lights };
+            let i = list[rng.below(list.len())] as usize;
             let t = &self.triangles[i];
             let (mut u, mut w) = (rng.unit() as f32, rng.unit() as f32);
             if u + w > 1.0 {
@@ -256,7 +277,14 @@ impl World {
             let r2 = to.length_squared();
             let d = to / r2.sqrt();
             let g = n.dot(d).max(0.0) * (-t.n.dot(d)).max(0.0) / r2.max(0.01);
-            let value = t.glow * (g * t.e1.cross(t.e2).length() / 2.0);
+            let here = room == self.plan.room_at(t.a.as_dvec3()) && !own.is_empty();
+            let all = 1.0 / self.lights.len() as f32;
+            let density = match (own.is_empty(), here) {
+                (true, _) => all,
+                (false, true) => 0.5 * all + 0.5 / own.len() as f32,
+                (false, false) => 0.5 * all,
+            };
+            let value = t.glow * (g * t.e1.cross(t.e2).length() / 2.0 / density);
             let y = value.element_sum();
             if y > 0.0 {
                 total += y;
@@ -279,7 +307,7 @@ impl World {
                 _ => return Vec3::ZERO,
             }
         }
-        through * colour * (total / 24.0 * self.lights.len() as f32 / std::f32::consts::PI)
+        through * colour * (total / 16.0 / std::f32::consts::PI)
     }
 }
 

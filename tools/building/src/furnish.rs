@@ -284,11 +284,14 @@ impl Site<'_, '_> {
     ) {
         self.mesh(name, make);
         let mesh = &self.lorry.parts[name].mesh;
-        // A millimetre of air keeps feet and floors from sharing a plane.
+        // A millimetre of air keeps feet and floors from sharing a plane. Splayed legs are cut
+        // square and would dig in with one edge; what hangs is lower than that by far.
+        let low = mesh.bounds().0.z;
+        let lift = if low > -0.02 { 0.001 - low.min(0.0) } else { 0.001 };
         let home = Placement {
             stance,
             room: Some(self.room),
-            ..Placement::new(self.rect.x0 + x, self.rect.y0 + y, self.z + z + 0.001, turn)
+            ..Placement::new(self.rect.x0 + x, self.rect.y0 + y, self.z + z + lift, turn)
         };
         let (far, twist) = self.loose;
         let mut best = home;

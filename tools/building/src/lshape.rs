@@ -436,34 +436,15 @@ fn stairwell(d: &mut Draw, storeys: u32) {
     }
 }
 
+/// Where a photographer would stand: in a corner, at eye height, with a doorway in the picture.
 fn views(storeys: u32) -> Vec<View> {
     let size = (960, 600);
-    let mut views = vec![
-        View {
-            name: "library".into(),
-            eye: v(11.5, 18.5, 1.6),
-            target: v(4.5, 20.6, 1.15),
-            fov: 52.0,
-            size,
-        },
-        View {
-            name: "conference".into(),
-            eye: v(22.7, 1.0, 1.65),
-            target: v(20.3, 7.5, 0.95),
-            fov: 55.0,
-            size,
-        },
-    ];
+    // The enfilade is upstairs where there is an upstairs.
     let z = if storeys > 1 { STOREY } else { 0.0 };
-    views.insert(
-        0,
-        View {
-            name: "enfilade".into(),
-            eye: v(0.75, 2.9, z + 1.55),
-            target: v(5.3, 1.75, z + 1.15),
-            fov: 55.0,
-            size,
-        },
-    );
-    views
+    let view = |name: &str, eye, target, fov| View { name: name.into(), eye, target, fov, size };
+    vec![
+        view("enfilade", v(0.75, 0.8, z + 1.55), v(4.2, 3.2, z + 1.1), 55.0),
+        view("library", v(8.8, 22.0, 1.6), v(2.9, 19.2, 1.1), 52.0),
+        view("conference", v(22.6, 0.95, 1.65), v(20.25, 7.2, 0.95), 55.0),
+    ]
 }

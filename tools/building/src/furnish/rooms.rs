@@ -9,6 +9,9 @@ use crate::mesh::Paint;
 use crate::plan::{Filling, Side};
 use Side::{East, North, South, West};
 
+/// Puts the furniture of one room.
+type Furnisher = fn(&mut Site<'_, '_>);
+
 /// Furnishes every room of the plan.
 pub(super) fn furnish(lorry: &mut Removal<'_>) {
     windows(lorry);
@@ -18,7 +21,7 @@ pub(super) fn furnish(lorry: &mut Removal<'_>) {
             1 => "upper".to_owned(),
             n => format!("floor-{n}"),
         };
-        let list: &[(&str, fn(&mut Site<'_, '_>))] = if storey == 0 {
+        let list: &[(&str, Furnisher)] = if storey == 0 {
             &[
                 ("canteen", canteen),
                 ("lobby", lobby),
@@ -631,10 +634,8 @@ fn studio(s: &mut Site<'_, '_>) {
 
 /// 4.8 x 2.0, unlit; door: west 1.25 (leaf inside).
 fn store(s: &mut Site<'_, '_>) {
-    for (name, side, along, w) in [("rack-store-1", South, 2.6, 1.8)] {
-        let rng = s.stream(name);
-        s.against(side, name, || storage::rack(w, 2.0, 5, rng), along, 0.0);
-    }
+    let rng = s.stream("rack-store-1");
+    s.against(South, "rack-store-1", || storage::rack(1.8, 2.0, 5, rng), 2.6, 0.0);
     s.stand("mop-bucket", wet::mop_bucket, 4.4, 1.65, 200.0);
     s.against(North, "washing-machine", wet::washing_machine, 2.0, 0.0);
     s.against(North, "washing-machine", wet::washing_machine, 2.65, 0.0);

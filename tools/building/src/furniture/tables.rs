@@ -189,7 +189,7 @@ pub fn counter(front: Paint, worktop: Paint, width: f64) -> Mesh {
     let n = (width / 0.075) as usize;
     for k in 0..n {
         let x = -w + 0.05 + (width - 0.1) * (k as f64 + 0.5) / n as f64;
-        m.add(cuboid("wood.oak", v(x - 0.02, -0.318, 0.08), v(x + 0.02, -0.301, 1.0)));
+        m.add(cuboid("wood.oak", v(x - 0.02, -0.319, 0.08), v(x + 0.02, -0.301, 1.0)));
     }
     m
 }
