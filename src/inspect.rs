@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use enf_layout::bsp::LEAF_OUTSIDE;
-use enf_layout::journal::{LedgerRecord, PassageRecord};
+use enf_layout::journal::LedgerRecord;
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::tables::Tables;
@@ -180,25 +180,12 @@ fn portals(tables: &Tables) -> Value {
 
 fn ledger(store: &StoreDir, budget: &MemoryBudget) -> Result<Value> {
     let reader = StageReader::open_unsealed(store, StageKind::Trace)?;
-    let mut lines: BTreeMap<u32, LedgerRecord> = BTreeMap::new();
-    for extent in reader.extents(ExtentKind::Ledger) {
-        let buffer = reader.read(extent, budget, "ledger")?;
-        for record in buffer.as_slice_of::<LedgerRecord>().map_err(StoreError::from)? {
-            let line = lines.entry(record.room).or_insert(LedgerRecord {
-                room: record.room,
-                reflections_min: u64::MAX,
-                ..LedgerRecord::default()
-            });
-            enf_trace::add_ledger(line, record);
-        }
-    }
+    let totals = enf_trace::Totals::read(&reader, budget)?;
+    // Photons that entered and left each room.
     let mut passed: BTreeMap<u32, (u64, u64)> = BTreeMap::new();
-    for extent in reader.extents(ExtentKind::Passages) {
-        let buffer = reader.read(extent, budget, "ledger")?;
-        for record in buffer.as_slice_of::<PassageRecord>().map_err(StoreError::from)? {
-            passed.entry(record.from).or_default().1 += record.photons;
-            passed.entry(record.to).or_default().0 += record.photons;
-        }
+    for (&(from, to), &(photons, _)) in &totals.passages {
+        passed.entry(from).or_default().1 += photons;
+        passed.entry(to).or_default().0 += photons;
     }
     let scalar = |rgb: [f64; 3]| 0.2126 * rgb[0] + 0.7152 * rgb[1] + 0.0722 * rgb[2];
     let row = |room: Value, l: &LedgerRecord, (entered, left): (u64, u64)| {
@@ -218,7 +205,7 @@ fn ledger(store: &StoreDir, budget: &MemoryBudget) -> Result<Value> {
     let mut sum = LedgerRecord { reflections_min: u64::MAX, ..LedgerRecord::default() };
     let mut through = (0, 0);
     let mut rows: Vec<Value> = Vec::new();
-    for (room, line) in &lines {
+    for (room, line) in &totals.ledger {
         enf_trace::add_ledger(&mut sum, line);
         let passed = passed.get(room).copied().unwrap_or_default();
         through.0 += passed.0;

@@ -18,7 +18,7 @@ use enf_scene::{Doors, LoadOptions, Scene, Up};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Names;
 use enf_stage::{CommonArgs, Failure, IdSink, Result, say, warn};
-use enf_store::{Array, Identity, StageWriter, StoreDir};
+use enf_store::{Array, Identity, MemoryBudget, StageWriter, StoreDir};
 use glam::{DVec3, Vec3};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
 use zerocopy::IntoBytes;
@@ -249,6 +249,7 @@ fn partition(
             cli.scene.display()
         )));
     }
+    refuse_if_hopeless(cli, &budget, scene, count)?;
     let _scene_bytes = budget.reserve(scene.resident_bytes(), "the scene file's own meshes")?;
     // Ceiling lights add two triangles a room; rooms are few.
     let capacity = count as usize + if args.ceiling_lights.is_some() { 65_536 } else { 0 };
@@ -431,6 +432,29 @@ fn partition(
     put(ExtentKind::TileLights, tile_lights.len(), tile_lights.as_bytes())?;
     writer.seal()?;
     Ok(())
+}
+
+/// The partitioner has all triangles in memory at once: said before work begins, with what would do.
+fn refuse_if_hopeless(cli: &Cli, budget: &MemoryBudget, scene: &Scene, count: u64) -> Result<()> {
+    let (own, meshes) = (budget.reserved(), scene.resident_bytes());
+    let (triangles, work) = (count * 40, count * WORK_BYTES_PER_TRIANGLE);
+    let needs = own + meshes + triangles + work;
+    if needs <= budget.limit() {
+        return Ok(());
+    }
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    Err(Failure::budget(format!(
+        "{}: {count} triangles need {} MiB of {} before there are rooms to name: triangles {}, walls and lists {}, the \
+         scene's meshes {}, the program {}",
+        cli.scene.display(),
+        mib(needs),
+        budget.limit() >> 20,
+        mib(triangles),
+        mib(work),
+        mib(meshes),
+        mib(own)
+    ))
+    .with_hint(format!("--memory {}M would do", mib(needs + needs / 8))))
 }
 
 fn corners_of_a_cube() -> impl Iterator<Item = DVec3> {

@@ -310,6 +310,8 @@ fn render(
     };
     let reader = TileReader { partition: &tables.partition, grid: readers.grid, budget: &budget };
 
+    session::refuse_large_tiles(tables, &reader, &budget, common.memory)?;
+
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<Result<Products>>();
     let timeline = &session.timeline;

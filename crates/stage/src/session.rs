@@ -15,6 +15,7 @@ use crate::failure::{Failure, Result};
 use crate::ids::{IdSink, Selection};
 use crate::interrupt;
 use crate::ordered::Continue;
+use crate::resident::TileReader;
 use crate::stats::Stats;
 use crate::tables::Tables;
 use crate::timeline::Timeline;
@@ -266,6 +267,25 @@ pub fn rooms_of(selection: &Selection, rooms: usize) -> Result<Vec<u32>> {
             Ok(ids.clone())
         }
     }
+}
+
+/// Refuses a budget in which some tile would not fit beside what is reserved already.
+///
+/// # Errors
+/// Exit 3, naming the room of the first such tile; exit 4 when a tile is missing.
+pub fn refuse_large_tiles(
+    tables: &Tables,
+    reader: &TileReader<'_>,
+    budget: &MemoryBudget,
+    memory: u64,
+) -> Result<()> {
+    for tile in 0..tables.tiles().len() as u32 {
+        let needs = reader.bytes(tile)?;
+        if needs > budget.available() {
+            return Err(too_small(tables, tile, needs, budget, memory));
+        }
+    }
+    Ok(())
 }
 
 /// The refusal that names the room, what it needs, and what would do.

@@ -160,7 +160,12 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     identity.push("photons-per-light", cli.trace.photons_per_light);
     let rooms = tables.rooms().len() as u32;
     match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
-        Begin::Finished => say(common, "nothing to do, every photon is stored already"),
+        Begin::Finished => {
+            say(common, "nothing to do, every photon is stored already");
+            let reader = StageReader::open(&store, StageKind::Trace)?;
+            let totals = Totals::read(&reader, &session.budget)?;
+            report(cli, &mut session, &tables, &totals);
+        }
         Begin::Work(writer) => {
             let totals = trace(cli, &mut session, &tables, &grid, *writer)?;
             report(cli, &mut session, &tables, &totals);
@@ -226,12 +231,7 @@ fn trace(
         photons_per_light: cli.trace.photons_per_light,
     };
     let reader = TileReader { partition: &tables.partition, grid, budget: &budget };
-    for tile in 0..tables.tiles().len() as u32 {
-        let needs = reader.bytes(tile)?;
-        if needs > budget.available() {
-            return Err(session::too_small(tables, tile, needs, &budget, common.memory));
-        }
-    }
+    session::refuse_large_tiles(tables, &reader, &budget, common.memory)?;
 
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<std::result::Result<(), Failure>>();

@@ -10,7 +10,7 @@ use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_layout::transit::TransitRecord;
 use enf_stage::rowtable::RowTable;
-use enf_store::{Buffer, Extent, MemoryBudget, StageWriter, StoreError};
+use enf_store::{Buffer, Extent, MemoryBudget, StageReader, StageWriter, StoreError};
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
@@ -70,6 +70,39 @@ pub struct Totals {
     pub spilled_records: u64,
     /// Photon visits: each time a photon was taken up.
     pub traced: u64,
+}
+
+impl Totals {
+    /// What the ledger of a trace says, finished or not; what only the run itself knew is 0.
+    ///
+    /// # Errors
+    /// A damaged ledger.
+    pub fn read(reader: &StageReader, budget: &MemoryBudget) -> Result<Self, StoreError> {
+        let mut totals = Self {
+            ledger: BTreeMap::new(),
+            passages: BTreeMap::new(),
+            evictions: 0,
+            spilled_blocks: 0,
+            spilled_records: 0,
+            traced: 0,
+        };
+        for extent in reader.extents(ExtentKind::Ledger) {
+            let block = reader.read(extent, budget, "ledger")?;
+            for line in block.as_slice_of::<LedgerRecord>()? {
+                let sum = totals.ledger.entry(line.room).or_insert_with(|| empty_ledger(line.room));
+                add_ledger(sum, line);
+            }
+        }
+        for extent in reader.extents(ExtentKind::Passages) {
+            let block = reader.read(extent, budget, "ledger")?;
+            for passage in block.as_slice_of::<PassageRecord>()? {
+                let sum = totals.passages.entry((passage.from, passage.to)).or_default();
+                sum.0 += passage.photons;
+                sum.1 += passage.flux_w;
+            }
+        }
+        Ok(totals)
+    }
 }
 
 /// See the module.
