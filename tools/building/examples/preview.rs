@@ -342,10 +342,7 @@ fn render(
     std::thread::scope(|s| {
         for _ in 0..threads {
             s.spawn(|| {
-                loop {
-                    let Some((y, row)) = queue.lock().ok().and_then(|mut q| q.next()) else {
-                        break;
-                    };
+                while let Some((y, row)) = queue.lock().ok().and_then(|mut q| q.next()) {
                     let mut rng = Rng::new(seed + y as u64, "row");
                     for (x, p) in row.iter_mut().enumerate() {
                         *p = f(world, x as u32, y as u32, &mut rng);
