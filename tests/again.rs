@@ -318,7 +318,7 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
     let whole = dir.path().join("whole");
     std::fs::create_dir(&whole).unwrap();
     let scene = furnished(dir.path());
-    let flags = ["--photons-per-light", "10k", "--epoch", "0.01", "--view", "all", "--width", "160", "--height", "120"];
+    let flags = ["--photons-per-light", "10k", "--epoch", "0.01", "--view", "all", "--width", "64", "--height", "48", "--samples", "2"];
     let run = |out: &Path| {
         let mut command = Command::new(bin_path("enfilade"));
         command.arg("run").arg(&scene).arg("-o").arg(out).args(flags);
@@ -331,7 +331,7 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
     let mut delays = delays(7);
     loop {
         let mut child = run(&tried).spawn().unwrap();
-        let until = Instant::now() + delays.next().unwrap() * (2 + killed / 4);
+        let until = Instant::now() + delays.next().unwrap() * (1 + killed / 2);
         while Instant::now() < until && child.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -152,7 +152,7 @@ fn spills_evictions_and_reloads_change_nothing() {
         same_pictures(&its_pictures, &pictures, name);
         for (stage, stats) in [("trace", &made.trace), ("render", &made.render)] {
             let n = |key: &str| number(stats, key);
-            assert!(n("table.evictions") > 0.0, "{name} {stage}: no row had to make way");
+            assert!(n("table.evictions") > 0.0, "{name} {stage}: no row had to make way: {stats:#}");
             assert!(n("table.spilled_blocks") > 0.0, "{name} {stage}: nothing was spilled");
             assert!(n("io.spilled_records") >= n("table.spilled_blocks"));
             assert!(
