@@ -133,6 +133,9 @@ fn standing(
     }
     if force {
         enf_store::verify(store, stage)?;
+    } else {
+        // Journals and lengths.
+        StageReader::open(store, stage)?;
     }
     Ok(Standing::Finished)
 }
