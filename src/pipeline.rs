@@ -61,10 +61,7 @@ const DEMO_PHOTONS: u64 = 50_000;
 /// Generates the L-shape and runs everything on it.
 pub(crate) fn demo(args: &DemoArgs) -> Result<()> {
     let mut stages = args.stages.clone();
-    let defaults = enf_trace::TraceArgs::default_photons();
-    if stages.trace.photons_per_light == defaults {
-        stages.trace.photons_per_light = DEMO_PHOTONS;
-    }
+    stages.trace.photons_per_light.get_or_insert(DEMO_PHOTONS);
     if stages.render.view.is_empty() && stages.render.views.is_none() {
         stages.render.view.push("all".into());
     }
@@ -90,11 +87,10 @@ pub(crate) fn run(args: &RunArgs) -> Result<()> {
     everything(&args.scene, &args.output, &args.stages)
 }
 
-/// The store's name is the scene file's, without its endings.
-fn store_name(scene: &Path) -> String {
+/// The scene file's name without its endings: the store's, and the summary's title.
+pub(crate) fn store_stem(scene: &Path) -> String {
     let name = scene.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-    let stem = name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("building");
-    format!("{stem}.enf")
+    name.split('.').next().filter(|s| !s.is_empty()).unwrap_or("building").to_string()
 }
 
 fn everything(scene: &Path, output: &Path, args: &StageArgs) -> Result<()> {
@@ -106,7 +102,7 @@ fn everything(scene: &Path, output: &Path, args: &StageArgs) -> Result<()> {
     std::fs::create_dir_all(output).at("create", output)?;
     let mut report = Stats::begin(&args.common)?;
     session::share_timeline(&args.common)?;
-    let store = output.join(store_name(scene));
+    let store = output.join(format!("{}.enf", store_stem(scene)));
     let quiet_stage = CommonArgs { stats: None, trace: None, ..args.common.clone() };
     let nowhere = IdSink::nowhere();
     let mut stages: Vec<Value> = Vec::new();

@@ -41,7 +41,7 @@ pub(crate) fn text(
     let (partition, trace, render) = (stage("partition"), stage("trace"), stage("render"));
     let count = |v: &Value, key: &str| grouped(number(v, key) as u64);
     // Writing to a string cannot fail.
-    let _ = writeln!(s, "{}", scene.file_stem().unwrap_or_default().to_string_lossy());
+    let _ = writeln!(s, "{}", crate::pipeline::store_stem(scene));
     let _ = writeln!(
         s,
         "  building   {} triangles in {} rooms, {} doors and openings ({:.1} m2), {} lights",
@@ -71,13 +71,13 @@ pub(crate) fn text(
         let _ = writeln!(
             s,
             "  light      {:.0} lm emitted; {:.1} % absorbed, {:.1} % escaped; {:.2} reflections a photon (at most {}); \
-             {:.1} % of the photons went through a door",
+             {:.2} passages through a door or opening per photon",
             number(&trace, "flux_emitted_w") * 179.0,
             100.0 * number(&trace, "flux_absorbed_w") / number(&trace, "flux_emitted_w"),
             100.0 * number(&trace, "flux_escaped_w") / number(&trace, "flux_emitted_w"),
             number(&trace, "reflections_mean"),
             count(&trace, "reflections_max"),
-            100.0 * number(&trace, "photons_through_portals") / emitted,
+            number(&trace, "photons_through_portals") / emitted,
         );
         let _ = writeln!(
             s,

@@ -341,9 +341,11 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
         "--view",
         "all",
         "--width",
-        "160",
+        "64",
         "--height",
-        "120",
+        "48",
+        "--samples",
+        "2",
     ];
     let run = |out: &Path| {
         let mut command = Command::new(bin_path("enfilade"));
@@ -357,7 +359,7 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
     let mut delays = delays(7);
     loop {
         let mut child = run(&tried).spawn().unwrap();
-        let until = Instant::now() + delays.next().unwrap() * (2 + killed / 4);
+        let until = Instant::now() + delays.next().unwrap() * (1 + killed / 2);
         while Instant::now() < until && child.try_wait().unwrap().is_none() {
             std::thread::sleep(Duration::from_millis(1));
         }

@@ -297,26 +297,28 @@ fn flags_that_make_no_sense() {
     }
 }
 
-/// More rooms than there can be, and tables that cannot be held, are said so.
+/// Numbers beyond all measure are refused, or are no more than a request.
 #[test]
 fn numbers_that_are_too_large() {
     let dir = tempfile::tempdir().unwrap();
     let scene = furnished(dir.path());
-    for flags in [
-        &["--rooms", "4000000000"][..],
-        &["--random-tiles", "4000000000"],
-        &["--queue-rows", "1000000", "--queue-block", "1G"],
-    ] {
-        let store = dir.path().join("b.enf");
-        let _ = std::fs::remove_dir_all(&store);
-        let output = if flags[0] == "--queue-rows" {
-            ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store));
-            ok(bin("enf-grid").arg(&store));
-            bin("enf-trace").arg(&store).args(flags).output().unwrap()
-        } else {
-            bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(flags).output().unwrap()
-        };
+    let store = dir.path().join("b.enf");
+    for flags in [["--rooms", "4000000000"], ["--random-tiles", "4000000000"], ["--units", "1e300"]]
+    {
+        let output =
+            bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(flags).output().unwrap();
         let code = output.status.code();
-        assert!(matches!(code, Some(2..=4)), "{flags:?} {code:?}: {}", stderr(&output));
+        assert!(matches!(code, Some(2 | 4)), "{flags:?} {code:?}: {}", stderr(&output));
     }
+    for tiles in ["0", "1", "3"] {
+        let mut partition = bin("enf-partition");
+        let flags = ["--tile-triangles", tiles, "--force"];
+        let output = partition.arg(&scene).arg("-o").arg(&store).args(flags).output().unwrap();
+        assert!(matches!(output.status.code(), Some(0 | 3)), "{}", stderr(&output));
+    }
+    ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).arg("--force"));
+    ok(bin("enf-grid").arg(&store));
+    let queue = ["--queue-rows", "1000000", "--queue-block", "1G"];
+    let said = fails(bin("enf-trace").arg(&store).args(queue), 3);
+    assert!(said.contains("table of incoming photons"), "{said}");
 }

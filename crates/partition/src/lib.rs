@@ -17,7 +17,7 @@ use enf_rooms::{Bsp, Hint, RoomCount, TileLimit};
 use enf_scene::{Doors, LoadOptions, Scene, Up};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Names;
-use enf_stage::{CommonArgs, Failure, IdSink, Result, say, warn};
+use enf_stage::{CommonArgs, Failure, IdSink, Result, interrupt, say, warn};
 use enf_store::{Array, Identity, MemoryBudget, StageWriter, StoreDir};
 use glam::{DVec3, Vec3};
 use xxhash_rust::xxh3::{xxh3_64, xxh3_128};
@@ -29,6 +29,9 @@ pub use luminaires::parse_lux;
 const MESH_BYTES_PER_TRIANGLE: u64 = 27;
 /// Bytes that the partitioner needs per triangle beside the triangles themselves.
 const WORK_BYTES_PER_TRIANGLE: u64 = 48;
+
+/// More rooms (or random tiles) than this are not made by request.
+const MOST_ROOMS: u32 = 65_536;
 
 /// Which axis points up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -73,7 +76,7 @@ pub struct PartitionArgs {
     #[arg(long, value_enum, default_value_t)]
     pub doors: DoorsArg,
     /// Metres per unit of the model [default: what the scene file says, else 1]
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = parse_units)]
     pub units: Option<f64>,
     /// Axis of the model that points up [default: what the scene file says, else z]
     #[arg(long, value_enum)]
@@ -85,7 +88,8 @@ pub struct PartitionArgs {
     #[arg(long, value_name = "N", value_parser = enf_stage::parse_count)]
     pub tile_triangles: Option<u64>,
     /// Cut the scene into N tiles by random oblique planes through the furniture (for tests: nothing changes)
-    #[arg(long, value_name = "N", hide = true)]
+    #[arg(long, value_name = "N", hide = true,
+        value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_ROOMS)))]
     pub random_tiles: Option<u32>,
 }
 
@@ -96,12 +100,19 @@ pub struct Rooms(
     pub RoomCount,
 );
 
+fn parse_units(text: &str) -> std::result::Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(units) if units.is_finite() && units > 0.0 => Ok(units),
+        _ => Err("a positive number of metres is wanted".into()),
+    }
+}
+
 fn parse_rooms(text: &str) -> std::result::Result<Rooms, String> {
     match text {
         "auto" => Ok(Rooms(RoomCount::Auto)),
         _ => match text.parse() {
-            Ok(n) if n > 0 => Ok(Rooms(RoomCount::Exactly(n))),
-            _ => Err("a number from 1, or auto".into()),
+            Ok(n) if (1..=MOST_ROOMS).contains(&n) => Ok(Rooms(RoomCount::Exactly(n))),
+            _ => Err(format!("a number from 1 to {MOST_ROOMS}, or auto")),
         },
     }
 }
@@ -180,6 +191,7 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
     };
     let lane = session.timeline.lane("partition");
     let scene = {
+        let _dense = interrupt::nothing_to_lose()?;
         let _span = lane.span("read scene", 0u32);
         enf_scene::load(&cli.scene, &options).map_err(|e| Failure::input(e.to_string()))?
     };
@@ -278,6 +290,7 @@ fn partition(
         ));
     }
 
+    let dense = interrupt::nothing_to_lose()?;
     let options = enf_rooms::Options {
         delta: scene.delta,
         bounds_min: scene.bounds.0,
@@ -323,7 +336,7 @@ fn partition(
         let _span = lane.span("bin triangles", count);
         rooms.finish(&world.corners)
     };
-    drop(work);
+    drop((work, dense));
     let _lists =
         budget.reserve(4 * tables.tile_triangles.len() as u64, "lists of the tiles' triangles")?;
 
@@ -470,7 +483,8 @@ fn report(cli: &Cli, session: &mut Session, tables: &enf_stage::tables::Tables) 
     let own = tables.rooms().iter().enumerate().filter(|(i, _)| *i as u32 != outside);
     let triangles: Vec<u64> = own.map(|(_, r)| r.triangles).collect();
     let portals: Vec<_> = tables.portals().iter().filter(|p| p.room < p.other).collect();
-    let area: f64 = portals.iter().map(|p| f64::from(p.area_m2)).sum();
+    // An empty sum of floats is -0.
+    let area = portals.iter().fold(0.0, |sum, p| sum + f64::from(p.area_m2));
     let stats = &mut session.stats;
     stats.set("rooms", rooms);
     stats.set("portals", portals.len());

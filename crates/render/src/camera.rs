@@ -1,12 +1,14 @@
 //! Where pictures are taken from: the scene's views, a file's, a room's, or viewpoints found by looking around.
 
+use std::cell::RefCell;
+
 use enf_layout::bsp::LEAF_OUTSIDE;
 use enf_layout::room::ViewRecord;
 use enf_layout::segment::ExtentKind;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::Bsp;
 use enf_scene::{Frame, Up};
-use enf_stage::resident::TileReader;
+use enf_stage::resident::{TileData, TileReader};
 use enf_stage::tables::Tables;
 use enf_stage::{Failure, Result};
 use enf_store::StageReader;
@@ -104,7 +106,7 @@ pub(crate) fn views(
     maps: &StageReader,
 ) -> Result<Vec<View>> {
     let bsp = tables.bsp()?;
-    let finder = Finder { tables, bsp: &bsp, reader };
+    let finder = Finder { tables, bsp: &bsp, reader, last: RefCell::new(None) };
     let mut found: Vec<(String, ViewRecord)> = Vec::new();
     let mut known: Vec<(String, ViewRecord)> =
         tables.names.views.iter().cloned().zip(tables.views().iter().copied()).collect();
@@ -181,6 +183,8 @@ struct Finder<'a> {
     tables: &'a Tables,
     bsp: &'a Bsp<'a>,
     reader: &'a TileReader<'a>,
+    /// The tile looked through last.
+    last: RefCell<Option<TileData>>,
 }
 
 /// Directions in which a viewpoint looks around.
@@ -244,33 +248,53 @@ impl Finder<'_> {
         Ok((longest, ways))
     }
 
-    /// Distance to the first surface, or to the end of the tile.
+    /// Distance to the first surface, or to the opening through which the way leaves the room. Tiles are passed
+    /// through: a viewpoint must not depend on them.
     fn free(&self, eye: Vec3, direction: Vec3) -> Result<f32> {
-        let leaf = self.bsp.locate_towards(eye.as_dvec3(), direction.as_dvec3());
-        let tile = self.bsp.leaves[leaf as usize].tile;
-        let data = self.reader.load(tile)?;
-        let (mesh, grid) = (data.mesh().map_err(store)?, data.grid().map_err(store)?);
-        let resident = Resident {
-            tile,
-            bsp: self.bsp,
-            mesh: &mesh,
-            grid: &grid,
-            materials: self.tables.materials(),
-            delta: self.tables.scene.delta,
-        };
-        let ray = TransitRecord {
-            origin: eye.to_array(),
-            direction: direction.to_array(),
-            leaf,
-            last_triangle: enf_layout::NONE,
-            ..TransitRecord::default()
-        };
-        let end = flight::fly(&resident, &ray, &flight::prepare(&ray), f32::INFINITY, |_, _| {});
-        Ok(match end {
-            Flight::Hit { hit, .. } => hit.t,
-            Flight::Leaves { t, .. } => t,
-            Flight::Escapes { .. } | Flight::Reached => 0.0,
-        })
+        let mut leaf = self.bsp.locate_towards(eye.as_dvec3(), direction.as_dvec3());
+        let room = self.bsp.leaves[leaf as usize].room;
+        let mut at = 0.0;
+        let mut last = self.last.borrow_mut();
+        loop {
+            let tile = self.bsp.leaves[leaf as usize].tile;
+            let data = match last.take() {
+                Some(data) if data.tile == tile => data,
+                other => {
+                    drop(other);
+                    self.reader.load(tile)?
+                }
+            };
+            let data = last.insert(data);
+            let (mesh, grid) = (data.mesh().map_err(store)?, data.grid().map_err(store)?);
+            let resident = Resident {
+                tile,
+                bsp: self.bsp,
+                mesh: &mesh,
+                grid: &grid,
+                materials: self.tables.materials(),
+                delta: self.tables.scene.delta,
+            };
+            let ray = TransitRecord {
+                origin: eye.to_array(),
+                direction: direction.to_array(),
+                leaf,
+                t: at,
+                last_triangle: enf_layout::NONE,
+                ..TransitRecord::default()
+            };
+            let end =
+                flight::fly(&resident, &ray, &flight::prepare(&ray), f32::INFINITY, |_, _| {});
+            match end {
+                Flight::Hit { hit, .. } => return Ok(hit.t),
+                Flight::Leaves { leaf: next, t } => {
+                    if self.bsp.leaves[next as usize].room != room {
+                        return Ok(t);
+                    }
+                    (leaf, at) = (next, t);
+                }
+                Flight::Escapes { .. } | Flight::Reached => return Ok(0.0),
+            }
+        }
     }
 }
 

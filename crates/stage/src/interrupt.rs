@@ -14,6 +14,7 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
 use crate::failure::{Failure, Result};
+use crate::progress;
 
 /// `timeout` signals its child and then the child's whole group: two signals that are one wish.
 const SAME_WISH: Duration = Duration::from_millis(400);
@@ -41,12 +42,47 @@ fn watch(flag: &Arc<AtomicUsize>) -> io::Result<()> {
         let mut first: Option<Instant> = None;
         for signal in &mut signals {
             let since = *first.get_or_insert_with(Instant::now);
+            if ABANDON.load(Ordering::Relaxed) > 0 {
+                abandon(signal);
+            }
             if signal == SIGINT && since.elapsed() > SAME_WISH {
                 signal_hook::low_level::exit(128 + SIGINT);
             }
         }
     })?;
     Ok(())
+}
+
+/// How many parts of the program have nothing to lose now.
+static ABANDON: AtomicUsize = AtomicUsize::new(0);
+
+fn abandon(signal: i32) -> ! {
+    let failure = Failure::interrupted(signal);
+    progress::write_named(&failure.to_string());
+    signal_hook::low_level::exit(i32::from(failure.code.code()))
+}
+
+/// While it lives, a signal ends the process at once: nothing is half done that a commit could save, and the work
+/// is too dense to look up from.
+#[must_use]
+#[derive(Debug)]
+pub struct NothingToLose(());
+
+/// From here on, until the guard is dropped, there is nothing to lose.
+///
+/// # Errors
+/// [`Failure::interrupted`] when a signal has come already.
+pub fn nothing_to_lose() -> Result<NothingToLose> {
+    ABANDON.fetch_add(1, Ordering::Relaxed);
+    let guard = NothingToLose(());
+    check()?;
+    Ok(guard)
+}
+
+impl Drop for NothingToLose {
+    fn drop(&mut self) {
+        ABANDON.fetch_sub(1, Ordering::Relaxed);
+    }
 }
 
 /// The signal that asked this process to stop, if one did. Costs one relaxed load.

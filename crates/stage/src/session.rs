@@ -122,7 +122,7 @@ fn standing(
         return Ok(Standing::New);
     }
     let Some(found) = store.identity(stage)? else { return Ok(Standing::New) };
-    let differences = found.differences(identity);
+    let differences = identity.differences(&found);
     if !differences.is_empty() {
         return Ok(Standing::Different(differences));
     }
@@ -134,6 +134,9 @@ fn standing(
     }
     if force {
         enf_store::verify(store, stage)?;
+    } else {
+        // Journals and lengths.
+        StageReader::open(store, stage)?;
     }
     Ok(Standing::Finished)
 }

@@ -18,18 +18,24 @@ impl From<StoreError> for Failure {
 
 impl From<BudgetError> for Failure {
     fn from(error: BudgetError) -> Self {
-        Self::budget(error.to_string()).with_hint("a larger --memory would do")
+        let lacking = error.needed.saturating_sub(error.available);
+        // A refusal is rarely the last one: a little more than what this one lacked.
+        let enough = error.limit.saturating_add(lacking).saturating_add(lacking / 4) >> 20;
+        Self::budget(error.to_string()).with_hint(format!("try --memory {}M", enough + 2))
     }
 }
 
+/// Pages of code, of the allocator and of small tables that are not resident yet when the program starts.
+const LATER_CODE: u64 = 3 << 20;
+
 /// The budget that `--memory` gives, and the part of it that the process itself takes: what was
-/// resident before any work (code, libraries, first stack) and a little for each thread. Keep the
-/// reservation alive as long as the budget is used.
+/// resident before any work (code, libraries, first stack), the code that comes in while it works, and a little
+/// for each thread. Keep the reservation alive as long as the budget is used.
 ///
 /// # Errors
 /// [`ExitStatus::Budget`] if the process alone is more than `--memory`.
 pub fn memory_budget(args: &CommonArgs) -> Result<(MemoryBudget, Reservation)> {
-    let own = memory::fixed_overhead_bytes() + args.threads as u64 * PER_THREAD;
+    let own = memory::fixed_overhead_bytes() + LATER_CODE + args.threads as u64 * PER_THREAD;
     let budget = MemoryBudget::new(args.memory);
     let reservation = budget.reserve(own, "the program itself").map_err(|_| {
         Failure::budget(format!(

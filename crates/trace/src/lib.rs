@@ -80,9 +80,9 @@ fn parse_resident(text: &str) -> std::result::Result<Resident, String> {
 /// `enf-trace`'s arguments.
 #[derive(Args, Clone, Debug)]
 pub struct TraceArgs {
-    /// Photons that every light emits (k, M, G: powers of 1000)
-    #[arg(long, value_name = "N", default_value = "20k", value_parser = parse_count)]
-    pub photons_per_light: u64,
+    /// Photons that every light emits (k, M, G: powers of 1000) [default: 20k; demo: 50k]
+    #[arg(long, value_name = "N", value_parser = parse_count)]
+    pub photons_per_light: Option<u64>,
     /// Seconds between commits: a kill loses at most this much work (never changes a result)
     #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = parse_epoch)]
     pub epoch: Duration,
@@ -99,9 +99,9 @@ fn parse_epoch(text: &str) -> std::result::Result<Duration, String> {
 }
 
 impl TraceArgs {
-    /// What `--photons-per-light` is when nobody says it.
-    pub fn default_photons() -> u64 {
-        20_000
+    /// Photons that every light emits.
+    pub fn photons(&self) -> u64 {
+        self.photons_per_light.unwrap_or(20_000)
     }
 }
 
@@ -151,13 +151,13 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
         return Err(Failure::input(format!("{} has no light", cli.store.display()))
             .with_hint("partition it again with --ceiling-lights 500lx, or give a material Ke"));
     }
-    if cli.trace.photons_per_light == 0 || cli.trace.photons_per_light > u64::from(u32::MAX) {
+    if cli.trace.photons() == 0 || cli.trace.photons() > u64::from(u32::MAX) {
         return Err(Failure::usage("--photons-per-light takes 1 to 4294967295"));
     }
 
     let mut identity = session::inherit(&store, StageKind::Partition)?;
     identity.push("seed", common.seed);
-    identity.push("photons-per-light", cli.trace.photons_per_light);
+    identity.push("photons-per-light", cli.trace.photons());
     let rooms = tables.rooms().len() as u32;
     match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
         Begin::Finished => {
@@ -228,7 +228,7 @@ fn trace(
         tables,
         bsp: tables.bsp()?,
         seed: common.seed,
-        photons_per_light: cli.trace.photons_per_light,
+        photons_per_light: cli.trace.photons(),
     };
     let reader = TileReader { partition: &tables.partition, grid, budget: &budget };
     session::refuse_large_tiles(tables, &reader, &budget, common.memory)?;
