@@ -246,13 +246,13 @@ fn the_advice_of_a_refusal_is_good() {
 #[test]
 fn a_tile_that_does_not_fit_is_named() {
     let dir = tempfile::tempdir().unwrap();
-    // One room full of small things: 60,000 triangles in one tile.
+    // One room full of small things: 180,000 triangles in one tile.
     let mut model = common::Model::default();
     model.object("box");
     model.material("white");
     model.cuboid([0.0; 3], [8.0, 8.0, 3.0], true);
     model.object("things");
-    for i in 0..5000 {
+    for i in 0..15_000 {
         let [x, y, z] = [7919, 104_729, 1_299_709].map(|p| f64::from(i * p % 10_007) / 10_007.0);
         model.turned([0.4 + 7.2 * x, 0.4 + 7.2 * y, 0.1 + 2.5 * z], [0.02, 0.03, 0.04], 360.0 * x);
     }

@@ -25,6 +25,8 @@ use zerocopy::IntoBytes;
 
 pub use luminaires::parse_lux;
 
+/// More rooms than this are refused: each that the walls do not make is a virtual wall through the largest.
+const MAX_ROOMS: u32 = 100_000;
 /// Resident bytes of a triangle in a mesh and its grid, for planning tiles.
 const MESH_BYTES_PER_TRIANGLE: u64 = 27;
 /// Bytes that the partitioner needs per triangle beside the triangles themselves.
@@ -222,7 +224,10 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
             }
         };
     drop(scene);
-    let tables = enf_stage::tables::Tables::open(&store, &session.budget)?;
+    let tables = enf_stage::tables::Tables::open(&store, &session.budget).map_err(|e| {
+        // Its own output is damaged: it can make it again.
+        if e.hint.is_none() { e.with_hint(session::MAKE_AGAIN) } else { e }
+    })?;
     if finished {
         say(common, "nothing to do, the rooms are there already");
     }

@@ -28,8 +28,8 @@ use enf_stage::{
     Selection, interrupt, parse_count, say,
 };
 use enf_store::{
-    Extent, Identity, MemoryBudget, Reservation, StageReader, StageState, StageWriter, StoreDir,
-    StoreError,
+    Buffer, Extent, Identity, MemoryBudget, Reservation, StageReader, StageState, StageWriter,
+    StoreDir, StoreError,
 };
 use enf_trace::{QueueArgs, queue_shape};
 use serde_json::Value;
@@ -141,6 +141,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &views)?;
 
+    session::refuse_large_tiles(&tables, &reader, &budget, common.memory)?;
     let identity = identity(&store, cli, &views)?;
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
     let mut shown = Shown::default();
@@ -315,7 +316,8 @@ fn render(
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<Result<Products>>();
     let timeline = &session.timeline;
-    let (cache, load) = TileCache::new(reader, cli.queue.resident_rooms.0, timeline);
+    let margin = (block * size_of::<TransitRecord>() * 2) as u64 + (1 << 20);
+    let (cache, load) = TileCache::new(reader, cli.queue.resident_rooms.0, margin, timeline);
     let (shown, loads) = std::thread::scope(|scope| {
         let loader = scope.spawn(load);
         for thread in 0..common.threads {
@@ -550,6 +552,16 @@ impl Driver<'_> {
         Ok(light)
     }
 
+    /// Rays from the log; maps and tiles that are not in use make way.
+    fn read_back(&mut self, extent: &Extent) -> Result<Buffer> {
+        loop {
+            match self.writer.read(extent, &self.budget, "incoming rays") {
+                Err(StoreError::Budget(_)) if self.evict_light() || self.cache.evict_all() => {}
+                other => return Ok(other?),
+            }
+        }
+    }
+
     fn visit(
         &mut self,
         tile: u32,
@@ -581,10 +593,10 @@ impl Driver<'_> {
                     let Some(extent) = extents.next() else { break };
                     handed += extent.count;
                     self.writer.consume(&extent);
-                    match self.writer.read(&extent, &self.budget, "incoming rays") {
+                    match self.read_back(&extent) {
                         Ok(buffer) => Arc::new(Waiting::Log(buffer)),
                         Err(error) => {
-                            outcome = Err(error.into());
+                            outcome = Err(error);
                             break;
                         }
                     }

@@ -88,17 +88,23 @@ pub struct TileCache {
     resident: BTreeMap<u32, (u64, Arc<TileData>)>,
     clock: u64,
     most: usize,
+    budget: MemoryBudget,
+    /// Bytes that the cache leaves to others: blocks of records that are read back.
+    margin: u64,
     loads: BTreeMap<u32, u32>,
     evicted: u64,
 }
 
 impl TileCache {
-    /// A cache of at most `most` tiles (0: as many as the budget holds), and the loop that the loader thread runs.
+    /// A cache of at most `most` tiles (0: as many as the budget holds beside `margin` bytes), and the loop that the
+    /// loader thread runs.
     pub fn new<'a>(
         reader: TileReader<'a>,
         most: usize,
+        margin: u64,
         timeline: &'a Timeline,
     ) -> (Self, impl FnOnce() + Send + 'a) {
+        let budget = reader.budget.clone();
         let (requests, incoming) = bounded::<u32>(1);
         let (outgoing, replies) = bounded(1);
         let lane = move || {
@@ -119,6 +125,8 @@ impl TileCache {
             resident: BTreeMap::new(),
             clock: 0,
             most,
+            budget,
+            margin,
             loads: BTreeMap::new(),
             evicted: 0,
         };
@@ -138,6 +146,7 @@ impl TileCache {
         if self.in_flight.is_some() || self.most == 1 || self.is_resident(tile) {
             return Ok(());
         }
+        self.keep_margin();
         self.make_room(1);
         self.request(tile)
     }
@@ -146,6 +155,15 @@ impl TileCache {
         self.requests.send(tile).map_err(|_| Failure::io("the loader thread has stopped"))?;
         self.in_flight = Some(tile);
         Ok(())
+    }
+
+    /// Evicts least recently used tiles that nobody holds until the margin is free.
+    fn keep_margin(&mut self) {
+        while self.budget.available() < self.margin {
+            if !self.evict_one() {
+                break;
+            }
+        }
     }
 
     /// Evicts least recently used tiles until at most `most` less `coming` stay.
@@ -184,7 +202,9 @@ impl TileCache {
         loop {
             if let Some((used, data)) = self.resident.get_mut(&tile) {
                 *used = self.clock;
-                return Ok(Arc::clone(data));
+                let data = Arc::clone(data);
+                self.keep_margin();
+                return Ok(data);
             }
             if self.in_flight.is_none() {
                 self.make_room(1);

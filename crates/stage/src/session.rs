@@ -99,7 +99,7 @@ impl Session {
 }
 
 /// What helps against damaged output.
-const MAKE_AGAIN: &str = "--force discards it and everything made from it, and makes it again";
+pub const MAKE_AGAIN: &str = "--force discards it and everything made from it, and makes it again";
 
 /// How what is in the store relates to what is about to be made.
 enum Standing {

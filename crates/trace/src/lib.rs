@@ -25,7 +25,7 @@ use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler,
     Selection, interrupt, parse_count, say,
 };
-use enf_store::{Extent, StageReader, StoreDir, StoreError};
+use enf_store::{Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
 
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
@@ -159,6 +159,10 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     identity.push("seed", common.seed);
     identity.push("photons-per-light", cli.trace.photons());
     let rooms = tables.rooms().len() as u32;
+    // Refused before anything is begun.
+    let queues = Queues::reserve(cli, &session.budget, tables.rooms().len())?;
+    let reader = TileReader { partition: &tables.partition, grid: &grid, budget: &session.budget };
+    session::refuse_large_tiles(&tables, &reader, &session.budget, common.memory)?;
     match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
         Begin::Finished => {
             say(common, "nothing to do, every photon is stored already");
@@ -167,7 +171,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
             report(cli, &mut session, &tables, &totals);
         }
         Begin::Work(writer) => {
-            let totals = trace(cli, &mut session, &tables, &grid, *writer)?;
+            let totals = trace(cli, &mut session, &tables, &grid, *writer, &queues)?;
             report(cli, &mut session, &tables, &totals);
         }
     }
@@ -186,31 +190,54 @@ pub fn queue_shape(queue: &QueueArgs, budget: u64, record: usize) -> (usize, usi
     (rows, block)
 }
 
+/// The tables' shapes, and their memory.
+struct Queues {
+    rows: usize,
+    block: usize,
+    photon_rows: usize,
+    photon_block: usize,
+    _reservations: [Reservation; 3],
+}
+
+impl Queues {
+    fn reserve(cli: &Cli, budget: &MemoryBudget, rooms: usize) -> Result<Self> {
+        let common = &cli.common;
+        let (rows, block) =
+            queue_shape(&cli.trace.queue, common.memory, size_of::<TransitRecord>());
+        let photon_rows = rows.min(rooms).clamp(1, 48);
+        let photon_block = (common.memory as usize / 12 / size_of::<PhotonRecord>() / photon_rows)
+            .clamp(64, 10_000);
+        // Products of the jobs in flight: some impacts per photon, all parked at worst.
+        let per_job = JOB_PHOTONS
+            * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
+        let transit = RowTable::<TransitRecord>::memory_bytes(rows, block);
+        let photons = RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block);
+        let jobs = per_job * (common.threads as u64 + 4);
+        Ok(Self {
+            rows,
+            block,
+            photon_rows,
+            photon_block,
+            _reservations: [
+                budget.reserve(transit, "table of incoming photons")?,
+                budget.reserve(photons, "rows of stored photons")?,
+                budget.reserve(jobs, "photons in flight")?,
+            ],
+        })
+    }
+}
+
 fn trace(
     cli: &Cli,
     session: &mut Session,
     tables: &Tables,
     grid: &StageReader,
     writer: enf_store::StageWriter,
+    shapes: &Queues,
 ) -> Result<Totals> {
     let (common, queue) = (&cli.common, &cli.trace.queue);
     let budget = session.budget.clone();
-    let (rows, block) = queue_shape(queue, common.memory, size_of::<TransitRecord>());
-    let _transit = budget.reserve(
-        RowTable::<TransitRecord>::memory_bytes(rows, block),
-        "table of incoming photons",
-    )?;
-    let photon_rows = rows.min(tables.rooms().len()).clamp(1, 48);
-    let photon_block =
-        (common.memory as usize / 12 / size_of::<PhotonRecord>() / photon_rows).clamp(64, 10_000);
-    let _photons = budget.reserve(
-        RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block),
-        "rows of stored photons",
-    )?;
-    // Products of the jobs in flight: some impacts per photon, all parked at worst.
-    let per_job =
-        JOB_PHOTONS * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
-    let _jobs = budget.reserve(per_job * (common.threads as u64 + 4), "photons in flight")?;
+    let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
     let resumed = writer.resumed();
     let recorder = Recorder::new(
@@ -231,13 +258,13 @@ fn trace(
         photons_per_light: cli.trace.photons(),
     };
     let reader = TileReader { partition: &tables.partition, grid, budget: &budget };
-    session::refuse_large_tiles(tables, &reader, &budget, common.memory)?;
-
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<std::result::Result<(), Failure>>();
     let (messages, mailbox) = bounded::<Message>(common.threads * 2 + 2);
     let timeline = &session.timeline;
-    let (cache, load) = TileCache::new(reader, queue.resident_rooms.0, timeline);
+    // Blocks read back: one for each job that may be under way, and what the loader holds for a moment.
+    let margin = (block * size_of::<TransitRecord>() * (common.threads * 3 + 2)) as u64 + (2 << 20);
+    let (cache, load) = TileCache::new(reader, queue.resident_rooms.0, margin, timeline);
 
     let (recorder, driven) = std::thread::scope(|scope| {
         let loader = scope.spawn(load);

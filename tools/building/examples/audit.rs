@@ -1,6 +1,6 @@
 //! Prints what a building is made of, and what is wrong with it.
 //!
-//! `cargo run -p enf-building --example audit [-- SEED]`
+//! `cargo run -p enf-building --example audit [-- SEED [SCENE.toml]]`; with a file it is built.
 
 use enf_building::furnish::{Footprint, Stance, clearances, leaves};
 use enf_building::mesh::is_closed;
@@ -8,7 +8,11 @@ use enf_building::{Kind, Request, design};
 
 fn main() -> Result<(), enf_building::BuildingError> {
     let seed = std::env::args().nth(1).and_then(|s| s.parse().ok()).unwrap_or(1);
-    let b = design(&Request { kind: Kind::LShape, floors: None, seed })?;
+    let request = Request { kind: Kind::LShape, floors: None, seed };
+    if let Some(path) = std::env::args().nth(2) {
+        enf_building::generate(&request, std::path::Path::new(&path))?;
+    }
+    let b = design(&request)?;
     println!("{:?}", b.summary());
     let mut rooms = vec![0usize; b.plan.rooms.len() + 1];
     let mut shares = std::collections::BTreeMap::new();

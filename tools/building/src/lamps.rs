@@ -11,7 +11,7 @@ use crate::plan::{Lamp, Panel, Plan};
 use std::f64::consts::TAU;
 
 /// How far the panel is below the ceiling, metres.
-pub const DROP: f64 = 0.075;
+pub const DROP: f64 = 0.05;
 
 /// One panel with its housing, hanging from z = 0.
 fn unit(panel: Panel, along_y: bool) -> Mesh {

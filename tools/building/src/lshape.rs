@@ -443,7 +443,7 @@ fn views(storeys: u32) -> Vec<View> {
     let z = if storeys > 1 { STOREY } else { 0.0 };
     let view = |name: &str, eye, target, fov| View { name: name.into(), eye, target, fov, size };
     vec![
-        view("enfilade", v(0.75, 0.8, z + 1.55), v(4.2, 3.2, z + 1.1), 55.0),
+        view("enfilade", v(0.75, 0.8, z + 1.55), v(4.1, 3.35, z + 1.1), 55.0),
         view("library", v(8.8, 22.0, 1.6), v(2.9, 19.2, 1.1), 52.0),
         view("conference", v(22.6, 0.95, 1.65), v(20.25, 7.2, 0.95), 55.0),
     ]

@@ -277,7 +277,7 @@ pub fn block(paint: Paint, x: f64, y: f64, z: f64) -> Mesh {
 pub fn bevelled(paint: Paint, low: DVec3, high: DVec3, bevel: f64) -> Mesh {
     let centre = (low + high) / 2.0;
     let half = (high - low) / 2.0;
-    let inner = half - DVec3::splat(bevel.min(half.min_element() * 0.999));
+    let inner = half - DVec3::splat(bevel.min(half.min_element() * 0.8));
     let mut m = Mesh::new();
     // Corner (x, y, z) has three points, one on each face that meets there.
     for corner in 0..8 {
@@ -340,7 +340,7 @@ pub fn rounded(paint: Paint, low: DVec3, high: DVec3, radius: f64, n: usize) -> 
 pub fn padded(paint: Paint, low: DVec3, high: DVec3, radius: f64, n: usize, flat: usize) -> Mesh {
     let centre = (low + high) / 2.0;
     let half = (high - low) / 2.0;
-    let r = radius.min(half.min_element() * 0.999);
+    let r = radius.min(half.min_element() * 0.95);
     let inner = half - DVec3::splat(r);
     let side = 2 * n + flat;
     // Where a step lies along an axis: in the lower fillet, the flat part or the upper fillet.

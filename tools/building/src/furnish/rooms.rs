@@ -313,7 +313,7 @@ fn canteen(s: &mut Site<'_, '_>) {
         (1.2, 6.68, 0.787),
         0.0,
     );
-    for k in 0..4 {
+    for k in 0..2 {
         mug(s, "ceramic.ochre", 1.75 + 0.13 * f64::from(k), 6.68, 0.787);
     }
     snake_plant(s, 0.3, 6.6);
@@ -335,7 +335,6 @@ fn lobby(s: &mut Site<'_, '_>) {
     s.table("reception", || tables::counter("wood.walnut", "stone.white", 1.8), 1.25, 3.55, 0.0);
     office_chair(s, "fabric.charcoal", (1.25, 4.25), (1.25, 3.0));
     s.rest("laptop", || decor::laptop("metal.steel"), (1.0, 3.68, 0.732), 180.0);
-    flowers(s, 0.62, 3.35, 1.077);
     s.against(
         East,
         "sofa-teal-2",
@@ -380,7 +379,6 @@ fn office_1(s: &mut Site<'_, '_>) {
     s.rest("desk-lamp", || decor::desk_lamp("lacquer.red"), (3.72, 2.35, 0.741), 90.0);
     bookcase(s, West, "bookcase-office-1", 3.0, (1.0, 1.3), 3);
     basket(s, 2.45, 4.6);
-    snake_plant(s, 0.4, 0.4);
     picture(
         s,
         East,
@@ -410,7 +408,6 @@ fn office_2(s: &mut Site<'_, '_>) {
         2.1,
         0.0,
     );
-    pot_plant(s, 3.82, 2.5, 0.787);
     s.rest("globe", decor::globe, (3.8, 1.75, 0.787), 40.0);
     picture(
         s,
@@ -522,7 +519,6 @@ fn meeting(s: &mut Site<'_, '_>) {
     }
     papers(s, x + 0.4, y - 0.2, 0.741, 60.0);
     mug(s, "ceramic.ochre", x - 0.3, y + 0.35, 0.741);
-    s.against(North, "whiteboard", || decor::whiteboard(2.4, 1.2), 2.2, 1.55);
     s.against(
         East,
         "sideboard-meeting",
@@ -598,8 +594,6 @@ fn kitchen(s: &mut Site<'_, '_>) {
         (2.9, 2.4, 0.902),
         0.0,
     );
-    let rng = s.stream("crate");
-    s.against(South, "crate-apples", || storage::crate_of("fruit.apple", rng), 1.6, 0.0);
 }
 
 /// 4.9 x 5.35; door: east 1.05 (leaf inside).
@@ -638,7 +632,6 @@ fn store(s: &mut Site<'_, '_>) {
     s.against(South, "rack-store-1", || storage::rack(1.8, 2.0, 5, rng), 2.6, 0.0);
     s.stand("mop-bucket", wet::mop_bucket, 4.4, 1.65, 200.0);
     s.against(North, "washing-machine", wet::washing_machine, 2.0, 0.0);
-    s.against(North, "washing-machine", wet::washing_machine, 2.65, 0.0);
     s.loose(0.02, 10.0).stand("carton", || storage::carton(0.38, 0.34, 0.28), 3.4, 1.7, 0.0);
     s.loose(0.0, 0.0);
 }
@@ -796,7 +789,6 @@ fn hall_leg(s: &mut Site<'_, '_>, upper: bool) {
             0.0,
         );
     }
-    snake_plant(s, 1.6, 9.6);
 }
 
 // The apartments.
@@ -1058,7 +1050,6 @@ fn bath(s: &mut Site<'_, '_>) {
         0.0,
     );
     basket(s, 0.4, 0.4);
-    pot_plant(s, 0.17, 2.12, 0.834);
 }
 
 /// 1.5 x 4.8, unlit; door: south 0.75 (leaf inside).
@@ -1140,7 +1131,6 @@ fn home_kitchen(s: &mut Site<'_, '_>) {
         ["book.red", "book.yellow", "book.cream"],
         (0.9, 0.6),
     );
-    snake_plant(s, 0.4, 0.4);
 }
 
 /// 4.9 x 5.35; door: east 1.05 (leaf inside).
@@ -1255,7 +1245,6 @@ fn games(s: &mut Site<'_, '_>) {
     for x in [8.9, 9.6, 10.3] {
         stool(s, "leather.brown", true, x, 3.1);
     }
-    s.rest("carafe", decor::carafe, (9.3, 3.54, 1.077), 0.0);
     s.against(
         South,
         "sofa-brown-3",

@@ -356,9 +356,8 @@ pub fn rug(
             let edge = i.min(nx - 1 - i).min(j.min(ny - 1 - j));
             t.paint = match edge {
                 0 | 2 => border,
-                _ if edge > 3 && (i + j) % 6 == 0 => stripe,
-                _ if edge > 3 && (i + 2 * nx - j) % 6 == 0 => stripe,
-                _ => ground,
+                1 | 3 => ground,
+                _ => stripe,
             };
         }
     }
