@@ -25,8 +25,6 @@ use zerocopy::IntoBytes;
 
 pub use luminaires::parse_lux;
 
-/// More rooms than this are refused: each that the walls do not make is a virtual wall through the largest.
-const MAX_ROOMS: u32 = 100_000;
 /// Resident bytes of a triangle in a mesh and its grid, for planning tiles.
 const MESH_BYTES_PER_TRIANGLE: u64 = 27;
 /// Bytes that the partitioner needs per triangle beside the triangles themselves.

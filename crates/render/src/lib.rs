@@ -39,7 +39,7 @@ pub use camera::{Camera, View};
 use shade::{Context, Job, Products, RoomLight, RoomMap, Scratch, Waiting, Work};
 
 /// Pixels that are finished together. Part of the format of an unfinished render, hence no flag.
-const BAND_PIXELS: u32 = 1 << 16;
+const BAND_PIXELS: u32 = 1 << 15;
 /// Rays of one job.
 const JOB_RAYS: u64 = 2048;
 /// Rays of one visit.
@@ -141,7 +141,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &views)?;
 
-    session::refuse_large_tiles(&tables, &reader, &budget, common.memory)?;
+    refuse_if_hopeless(cli, &tables, &reader, &maps, &budget, &views)?;
     let identity = identity(&store, cli, &views)?;
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
     let mut shown = Shown::default();
@@ -174,6 +174,66 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
         out.print(picture.display())?;
     }
     Ok(Some(stats))
+}
+
+/// Refuses a budget in which some room could not be shaded, before anything is begun.
+fn refuse_if_hopeless(
+    cli: &Cli,
+    tables: &Tables,
+    reader: &TileReader<'_>,
+    maps: &StageReader,
+    budget: &MemoryBudget,
+    views: &[View],
+) -> Result<()> {
+    let common = &cli.common;
+    let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
+    let rays = RowTable::<TransitRecord>::memory_bytes(rows, block) + bytes_in_flight(common);
+    let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
+    let film = film_bytes(pixels.min(BAND_PIXELS));
+    let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    for (id, room) in tables.rooms().iter().enumerate() {
+        let mut mesh = 0;
+        for tile in room.first_tile..room.first_tile + room.tile_count {
+            mesh = mesh.max(reader.bytes(tile)?);
+        }
+        let map = match cli.render.indirect {
+            Indirect::None => 0,
+            Indirect::PhotonMap => maps
+                .find(ExtentKind::Map, id as u32)
+                .iter()
+                .map(|e| e.raw_bytes + IrradianceCache::bytes(e.count as usize))
+                .sum(),
+        };
+        let needs = rays + film + mesh + map;
+        if needs > budget.available() {
+            return Err(Failure::budget(format!(
+                "room {id} needs {} MiB of {}: mesh and grid {}, photon map {}, film {}, rays {}, tables and program {}",
+                mib(needs + budget.reserved()),
+                common.memory >> 20,
+                mib(mesh),
+                mib(map),
+                mib(film),
+                mib(rays),
+                mib(budget.reserved())
+            ))
+            .with_hint(format!(
+                "--memory {}M would do, or cut it into smaller tiles: enf-partition --memory {}M",
+                mib((needs + budget.reserved()) * 5 / 4),
+                common.memory >> 20
+            )));
+        }
+    }
+    Ok(())
+}
+
+/// Products of the jobs under way.
+fn bytes_in_flight(common: &CommonArgs) -> u64 {
+    JOB_RAYS * 4 * size_of::<TransitRecord>() as u64 * (common.threads as u64 + 4)
+}
+
+/// A band of film and its developed pixels.
+fn film_bytes(pixels: u32) -> u64 {
+    (Film::bytes_per_pixel() + size_of::<PixelRecord>()) as u64 * u64::from(pixels)
 }
 
 /// The files of each view.
@@ -271,8 +331,7 @@ fn render(
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
     let _queue = budget
         .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
-    let per_job = JOB_RAYS * 4 * size_of::<TransitRecord>() as u64;
-    let _jobs = budget.reserve(per_job * (common.threads as u64 + 4), "rays in flight")?;
+    let _jobs = budget.reserve(bytes_in_flight(common), "rays in flight")?;
 
     let mut first_pixels = vec![0u32];
     for view in views {
@@ -310,8 +369,6 @@ fn render(
         power: &power,
     };
     let reader = TileReader { partition: &tables.partition, grid: readers.grid, budget: &budget };
-
-    session::refuse_large_tiles(tables, &reader, &budget, common.memory)?;
 
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<Result<Products>>();
@@ -416,9 +473,7 @@ impl Driver<'_> {
         for band in (0..bands).filter(|b| !done.contains(b)) {
             let first_pixel = band * BAND_PIXELS;
             let pixels = BAND_PIXELS.min(total - first_pixel);
-            let bytes =
-                (Film::bytes_per_pixel() + size_of::<PixelRecord>()) as u64 * u64::from(pixels);
-            let reservation = self.budget.reserve(bytes, "film")?;
+            let reservation = self.budget.reserve(film_bytes(pixels), "film")?;
             let mut band_at_work = Band {
                 film: Arc::new(Film::new(pixels as usize)),
                 _reservation: reservation,
