@@ -289,10 +289,18 @@ fn yield_to_another_picture(
     pictures: &[Vec<PathBuf>],
     force: bool,
 ) -> Result<()> {
-    if store.stage_state(StageKind::Render)? != StageState::Sealed {
-        return Ok(());
-    }
-    let Some(found) = store.identity(StageKind::Render)? else { return Ok(()) };
+    let found = store.stage_state(StageKind::Render).and_then(|state| {
+        Ok(if state == StageState::Sealed { store.identity(StageKind::Render)? } else { None })
+    });
+    let found = match found {
+        Ok(Some(found)) => found,
+        Ok(None) => return Ok(()),
+        // Film that cannot be read is made again.
+        Err(StoreError::Corrupt { .. }) if force => {
+            return Ok(store.discard_from(StageKind::Render)?);
+        }
+        Err(error) => return Err(error.into()),
+    };
     let in_the_way = pictures.iter().flatten().any(|p| p.exists());
     if found != *identity && (force || !in_the_way) {
         store.discard_from(StageKind::Render)?;
