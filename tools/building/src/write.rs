@@ -89,7 +89,9 @@ pub fn scene(building: &Building, folder: &str) -> String {
             view.size.1
         );
     }
-    for (name, kind) in palette::PAINTS {
+    let used: std::collections::BTreeSet<_> =
+        building.parts.iter().flat_map(|p| p.mesh.triangles.iter().map(|t| t.paint)).collect();
+    for (name, kind) in palette::PAINTS.iter().filter(|(name, _)| used.contains(name)) {
         let _ = writeln!(out, "\n[[material]]\nname = \"{name}\"");
         let _ = match kind {
             Kind::Matt(c) => writeln!(out, "kd = {}", list(c)),

@@ -140,6 +140,17 @@ fn solids_are_closed_and_outward_and_only_sheets_are_open() {
 }
 
 #[test]
+fn no_triangle_loses_its_area_in_the_files() {
+    for part in &building(1).parts {
+        for i in 0..part.mesh.triangles.len() {
+            let [a, b, c] = part.mesh.corners(i).map(|p| (p * 1e5).round() / 1e5);
+            let area = (b - a).cross(c - a).length() / 2.0;
+            assert!(area > 1e-10, "{}: triangle {i} at {a}", part.name);
+        }
+    }
+}
+
+#[test]
 fn every_paint_is_in_the_shop() {
     for part in &building(1).parts {
         for t in &part.mesh.triangles {

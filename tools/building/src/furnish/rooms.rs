@@ -660,11 +660,11 @@ fn library(s: &mut Site<'_, '_>) {
     bookcase(s, South, "bookcase-library-3", 3.45, (1.2, 2.15), 5);
     bookcase(s, North, "bookcase-library-4", 4.03, (1.1, 2.15), 5);
     bookcase(s, North, "bookcase-library-5", 7.87, (1.1, 2.15), 5);
-    s.table("reading-table", || tables::table("wood.walnut", 2.6, 1.0, 0.75), 8.6, 2.2, 0.0);
-    for (x, y, ty) in [(7.9, 1.55, 2.2), (9.2, 1.5, 2.2), (7.95, 2.9, 2.2), (9.3, 2.9, 2.2)] {
+    s.table("reading-table", || tables::table("wood.walnut", 2.6, 1.0, 0.75), 9.3, 2.2, 0.0);
+    for (x, y, ty) in [(8.6, 1.55, 2.2), (9.9, 1.5, 2.2), (8.65, 2.9, 2.2), (10.0, 2.9, 2.2)] {
         slat_chair(s, (x, y), (x, ty));
     }
-    for x in [8.0, 9.2] {
+    for x in [8.7, 9.9] {
         s.rest(
             "table-lamp",
             || decor::table_lamp("metal.brass", "lacquer.green"),
@@ -673,15 +673,15 @@ fn library(s: &mut Site<'_, '_>) {
         );
     }
     let rng = s.stream("pile");
-    s.loose(0.03, 30.0).rest("book-pile", || decor::book_pile(3, rng), (8.6, 2.3, 0.752), 40.0);
+    s.loose(0.03, 30.0).rest("book-pile", || decor::book_pile(3, rng), (9.3, 2.3, 0.752), 40.0);
     s.loose(0.0, 0.0);
-    papers(s, 7.6, 2.0, 0.752, 10.0);
+    papers(s, 8.3, 2.0, 0.752, 10.0);
     rug(
         s,
         "rug-library",
         ["fabric.red", "fabric.navy", "fabric.cream"],
-        (2.9, 2.2),
-        (2.5, 2.75),
+        (3.5, 2.3),
+        (2.7, 2.75),
         0.0,
     );
     armchair(s, "leather.brown", (1.4, 2.9), (2.6, 2.7));
@@ -714,6 +714,8 @@ fn library(s: &mut Site<'_, '_>) {
         (1.5, 1.0),
     );
     snake_plant(s, 5.0, 0.35);
+    s.loose(0.05, 90.0).stand("pouf-tan", || seating::pouf("leather.tan"), 3.7, 1.75, 0.0);
+    s.loose(0.0, 0.0);
 }
 
 /// The first leg, 12.95 x 1.9; doors: south 3.25, 7.85, 9.85; north 5.85, 7.65, 10.85.

@@ -43,9 +43,8 @@ pub fn pot(paint: Paint, radius: f64, height: f64) -> Mesh {
 fn leaf(paint: Paint, length: f64, width: f64, droop: f64, n: usize) -> Mesh {
     sheet(paint, (n, 2), (false, false), |a, b| {
         let side = 2.0 * b - 1.0;
-        let half = width / 2.0
-            * libm::sin(PI * (0.06 + 0.94 * a).min(1.0)).max(0.0).sqrt()
-            * (1.0 - 0.35 * a);
+        let bow = libm::sin(PI * (0.06 + 0.94 * a).min(1.0)).max(0.001).sqrt();
+        let half = width / 2.0 * bow * (1.0 - 0.35 * a);
         let z = length * (0.25 * a - droop * a * a) + side.abs() * half * 0.35;
         v(length * a, side * half, z)
     })
