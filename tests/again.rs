@@ -67,8 +67,7 @@ fn twice_is_nothing_to_do() {
     let picture = std::fs::read(dir.path().join("door.png")).unwrap();
     for (mut command, first) in stages(dir.path(), &store).into_iter().zip(&first) {
         // Flags that change no result are no difference.
-        let again =
-            ok(command.args(["--threads", "1", "--memory", "300M", "--progress", "always"]));
+        let again = ok(command.args(["--threads", "1", "--memory", "12M", "--progress", "always"]));
         assert!(stderr(&again).contains("nothing to do"), "{command:?}: {}", stderr(&again));
         let mut lines: Vec<_> = common::stdout(&again).lines().map(String::from).collect();
         let mut wanted: Vec<_> = common::stdout(first).lines().map(String::from).collect();
@@ -406,4 +405,31 @@ fn a_store_that_is_being_written_is_busy() {
     child.wait().unwrap();
     ok(bin("enf-trace").arg(&store).args(["--photons-per-light", "7", "--force"]));
     assert_eq!(ids(&ok(bin("enf-kdtree").arg(&store))).len() as u32, room_count(&store));
+}
+
+/// Finding rooms is dense work with nothing to save: a signal ends it at once, and nothing is in the way afterwards.
+#[test]
+fn an_interrupted_partition_ends_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnished(dir.path());
+    let store = dir.path().join("b.enf");
+    let partition = |rooms: &str| {
+        let mut command = Command::new(bin_path("enf-partition"));
+        command.arg(&scene).arg("-o").arg(&store).args(["--rooms", rooms]);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
+        command
+    };
+    for (how, code) in [(Signal::TERM, 143), (Signal::INT, 130)] {
+        let mut child = partition("60000").spawn().unwrap();
+        std::thread::sleep(Duration::from_millis(300));
+        assert!(child.try_wait().unwrap().is_none(), "60000 rooms take longer than that");
+        signal(&child, how);
+        let asked = Instant::now();
+        let output = child.wait_with_output().unwrap();
+        let said = stderr(&output);
+        assert_eq!(output.status.code(), Some(code), "{said}");
+        assert!(said.contains("interrupted"), "{said}");
+        assert!(asked.elapsed() < Duration::from_secs(5), "{:?}", asked.elapsed());
+    }
+    ok(partition("auto").arg("--force"));
 }

@@ -48,6 +48,15 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
 
     let mut identity = session::inherit(&store, StageKind::Partition)?;
     identity.push("structure", "grid");
+    if session::may_work(&store, StageKind::Grid, cli.force) {
+        let tiles = rooms.iter().flat_map(|&r| session::tiles_of(&tables, r));
+        if let Some(tile) = tiles.max_by_key(|&t| needs(&tables, t))
+            && needs(&tables, tile) > session.budget.available()
+        {
+            let (needs, memory) = (needs(&tables, tile), common.memory);
+            return Err(session::too_small(&tables, tile, needs, &session.budget, memory));
+        }
+    }
     match session::begin(&store, StageKind::Grid, common.process, &identity, cli.force)? {
         Begin::Finished => {
             say(common, "nothing to do, every grid is there already");
@@ -65,6 +74,12 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     Ok(Some(session.finish(common, "grid", &store)?))
 }
 
+/// Bytes for building the grid of a tile: mesh, grid while it is built, and its encoding.
+fn needs(tables: &Tables, tile: u32) -> u64 {
+    let record = &tables.tiles()[tile as usize];
+    record.mesh_bytes * 2 + grid_build_bytes(record.triangles)
+}
+
 fn build(
     cli: &Cli,
     session: &mut Session,
@@ -77,23 +92,13 @@ fn build(
     let budget = session.budget.clone();
     let made: BTreeSet<u32> =
         writer.extents().filter(|e| e.kind == ExtentKind::Grid).map(|e| e.id).collect();
-    let tiles_of = |room: u32| {
-        let room = &tables.rooms()[room as usize];
-        room.first_tile..room.first_tile + room.tile_count
-    };
+    let tiles_of = |room: u32| session::tiles_of(tables, room);
     let todo: Vec<u32> =
         rooms.iter().flat_map(|&r| tiles_of(r)).filter(|t| !made.contains(t)).collect();
 
-    let needs = |tile: u32| {
-        let record = &tables.tiles()[tile as usize];
-        // Mesh, grid while it is built, and its encoding.
-        record.mesh_bytes * 2 + grid_build_bytes(record.triangles)
-    };
+    let needs = |tile: u32| needs(tables, tile);
     let largest = todo.iter().copied().max_by_key(|&t| needs(t));
     let threads = match largest {
-        Some(tile) if needs(tile) > budget.available() => {
-            return Err(session::too_small(tables, tile, needs(tile), &budget, common.memory));
-        }
         Some(tile) => common.threads.min((budget.available() / needs(tile).max(1)) as usize).max(1),
         None => 1,
     };

@@ -141,7 +141,9 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &views)?;
 
-    refuse_if_hopeless(cli, &tables, &reader, &maps, &budget, &views)?;
+    if session::may_work(&store, StageKind::Render, cli.force) {
+        refuse_if_hopeless(cli, &tables, &reader, &maps, &budget, &views)?;
+    }
     let identity = identity(&store, cli, &views)?;
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
     let mut shown = Shown::default();
@@ -481,7 +483,12 @@ impl Driver<'_> {
         for band in (0..bands).filter(|b| !done.contains(b)) {
             let first_pixel = band * BAND_PIXELS;
             let pixels = BAND_PIXELS.min(total - first_pixel);
-            let reservation = self.budget.reserve(film_bytes(pixels), "film")?;
+            let reservation = loop {
+                match self.budget.reserve(film_bytes(pixels), "film") {
+                    Err(_) if self.make_way()? => {}
+                    other => break other?,
+                }
+            };
             let mut band_at_work = Band {
                 film: Arc::new(Film::new(pixels as usize)),
                 _reservation: reservation,
@@ -603,7 +610,7 @@ impl Driver<'_> {
                 };
                 match attempt() {
                     Ok(map) => break Some(map),
-                    Err(StoreError::Budget(_)) if self.evict_light() || self.cache.evict_all() => {}
+                    Err(StoreError::Budget(_)) if self.make_way()? => {}
                     Err(error) => return Err(error.into()),
                 }
             }
@@ -615,11 +622,17 @@ impl Driver<'_> {
         Ok(light)
     }
 
-    /// Rays from the log; maps and tiles that are not in use make way.
-    fn read_back(&mut self, extent: &Extent) -> Result<Buffer> {
+    /// Frees a map or a tile that is not in use; false when there is none.
+    fn make_way(&mut self) -> Result<bool> {
+        Ok(self.evict_light() || self.cache.make_way()?)
+    }
+
+    /// Rays from the log. Maps and tiles that nobody needs make way for them, and then the jobs that are under way.
+    fn read_back(&mut self, extent: &Extent, flying: &mut u64) -> Result<Buffer> {
         loop {
             match self.writer.read(extent, &self.budget, "incoming rays") {
-                Err(StoreError::Budget(_)) if self.evict_light() || self.cache.evict_all() => {}
+                Err(StoreError::Budget(_)) if self.make_way()? => {}
+                Err(StoreError::Budget(_)) if *flying > 0 => self.receive(flying)?,
                 other => return Ok(other?),
             }
         }
@@ -656,7 +669,7 @@ impl Driver<'_> {
                     let Some(extent) = extents.next() else { break };
                     handed += extent.count;
                     self.writer.consume(&extent);
-                    match self.read_back(&extent) {
+                    match self.read_back(&extent, &mut flying) {
                         Ok(buffer) => Arc::new(Waiting::Log(buffer)),
                         Err(error) => {
                             outcome = Err(error);

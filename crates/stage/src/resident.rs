@@ -229,13 +229,24 @@ impl TileCache {
         }
     }
 
-    /// Frees every tile that nobody holds; true if any was.
-    pub fn evict_all(&mut self) -> bool {
-        let mut any = false;
-        while self.evict_one() {
-            any = true;
+    /// Frees a tile that nobody holds, or one that was fetched ahead; false when there is none.
+    ///
+    /// # Errors
+    /// The tile that was fetched ahead could not be read.
+    pub fn make_way(&mut self) -> Result<bool> {
+        if self.evict_one() {
+            return Ok(true);
         }
-        any
+        if self.in_flight.is_none() {
+            return Ok(false);
+        }
+        let (_, loaded) =
+            self.replies.recv().map_err(|_| Failure::io("the loader thread has stopped"))?;
+        self.in_flight = None;
+        match loaded {
+            Ok(_) | Err(StoreError::Budget(_)) => Ok(true),
+            Err(error) => Err(error.into()),
+        }
     }
 
     /// Loads so far, by tile.

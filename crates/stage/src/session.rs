@@ -205,6 +205,12 @@ pub fn begin(
     }
 }
 
+/// Whether [`begin`] may answer with work. What that needs is then reserved before anything is begun or discarded, so
+/// that a refusal leaves the store as it was; and a finished stage needs nothing.
+pub fn may_work(store: &StoreDir, stage: StageKind, force: bool) -> bool {
+    force || !matches!(store.stage_state(stage), Ok(StageState::Sealed))
+}
+
 /// The identity that a stage inherits from the one before: it changes whenever that one's does.
 ///
 /// # Errors

@@ -25,7 +25,7 @@ use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler,
     Selection, interrupt, parse_count, say,
 };
-use enf_store::{Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
+use enf_store::{Buffer, Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
 
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
@@ -160,9 +160,9 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     identity.push("photons-per-light", cli.trace.photons());
     let rooms = tables.rooms().len() as u32;
     // Refused before anything is begun.
-    let queues = Queues::reserve(cli, &session.budget, tables.rooms().len())?;
-    let reader = TileReader { partition: &tables.partition, grid: &grid, budget: &session.budget };
-    session::refuse_large_tiles(&tables, &reader, &session.budget, common.memory)?;
+    let plan = || Queues::reserve(cli, &session.budget, &tables, &grid);
+    let queues =
+        if session::may_work(&store, StageKind::Trace, cli.force) { Some(plan()?) } else { None };
     match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
         Begin::Finished => {
             say(common, "nothing to do, every photon is stored already");
@@ -171,6 +171,10 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
             report(cli, &mut session, &tables, &totals);
         }
         Begin::Work(writer) => {
+            let queues = match queues {
+                Some(queues) => queues,
+                None => plan()?,
+            };
             let totals = trace(cli, &mut session, &tables, &grid, *writer, &queues)?;
             report(cli, &mut session, &tables, &totals);
         }
@@ -200,8 +204,14 @@ struct Queues {
 }
 
 impl Queues {
-    fn reserve(cli: &Cli, budget: &MemoryBudget, rooms: usize) -> Result<Self> {
-        let common = &cli.common;
+    /// Reserves them, if the largest tile fits beside them.
+    fn reserve(
+        cli: &Cli,
+        budget: &MemoryBudget,
+        tables: &Tables,
+        grid: &StageReader,
+    ) -> Result<Self> {
+        let (common, rooms) = (&cli.common, tables.rooms().len());
         let (rows, block) =
             queue_shape(&cli.trace.queue, common.memory, size_of::<TransitRecord>());
         let photon_rows = rows.min(rooms).clamp(1, 48);
@@ -213,7 +223,7 @@ impl Queues {
         let transit = RowTable::<TransitRecord>::memory_bytes(rows, block);
         let photons = RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block);
         let jobs = per_job * (common.threads as u64 + 4);
-        Ok(Self {
+        let queues = Self {
             rows,
             block,
             photon_rows,
@@ -223,7 +233,10 @@ impl Queues {
                 budget.reserve(photons, "rows of stored photons")?,
                 budget.reserve(jobs, "photons in flight")?,
             ],
-        })
+        };
+        let reader = TileReader { partition: &tables.partition, grid, budget };
+        session::refuse_large_tiles(tables, &reader, budget, common.memory)?;
+        Ok(queues)
     }
 }
 
@@ -427,8 +440,7 @@ impl Driver<'_> {
             let Some(extent) = extents.next() else { break };
             handed += extent.count;
             outcome = self
-                .ask(|reply| Message::Read { extent, reply })
-                .and_then(|read| Ok(read?))
+                .read_back(extent, &mut flying)
                 .and_then(|buffer| self.hand_out(data, Waiting::Log(buffer), &mut flying));
             consumed.push(extent);
         }
@@ -462,6 +474,21 @@ impl Driver<'_> {
         let unused = (tile, unused);
         let status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
         Ok((status, left))
+    }
+
+    /// Photons from the log. Tiles that nobody needs make way for them, and then the jobs that are under way.
+    fn read_back(&mut self, extent: Extent, flying: &mut u64) -> Result<Buffer> {
+        loop {
+            match self.ask(|reply| Message::Read { extent, reply })? {
+                Err(StoreError::Budget(_)) if self.cache.make_way()? => {}
+                Err(StoreError::Budget(_)) if *flying > 0 => {
+                    *flying -= 1;
+                    let stopped = |_| Err(Failure::internal("the tracing threads have stopped"));
+                    self.finished.recv().unwrap_or_else(stopped)?;
+                }
+                other => return Ok(other?),
+            }
+        }
     }
 
     fn hand_out(&self, data: &Arc<TileData>, records: Waiting, flying: &mut u64) -> Result<()> {
