@@ -2,9 +2,10 @@
 //!
 //! A BSP of the space along the walls gives convex leaves; leaves that see each other through large
 //! openings are one room; what is left of a leaf's face when the walls in its plane are taken away
-//! is a portal. [`partition()`] does all that, [`Partition::cut_tiles`] cuts big rooms into what fits
-//! in memory, [`Partition::finish`] writes the tables of a store, and [`Bsp`] walks a ray through
-//! them, leaf by leaf.
+//! is a portal. [`partition()`] does all that; it needs the large triangles only. [`Partition::route`]
+//! says which rooms any triangle touches and [`Partition::cut_piece`] cuts big rooms into tiles that
+//! fit in memory, so that a scene of any size streams past. [`Partition::tables`] writes the tables of a
+//! store, and [`Bsp`] walks a ray through them, leaf by leaf.
 #![forbid(unsafe_code)]
 
 mod cluster;
@@ -13,6 +14,7 @@ mod error;
 mod merge;
 mod openings;
 mod partition;
+mod pieces;
 mod probe;
 mod tables;
 mod tree;
@@ -20,6 +22,7 @@ mod walk;
 
 pub use error::RoomsError;
 pub use partition::{Partition, partition};
+pub use pieces::{Piece, Scratch, Start};
 pub use walk::{Bsp, Exit, Malformed};
 
 use enf_layout::bsp::{FaceRecord, LeafRecord, NodeRecord, PlaneRecord};
@@ -93,9 +96,11 @@ pub struct Tables {
     pub portals: Vec<PortalRecord>,
     /// Their convex pieces.
     pub pieces: Vec<PortalPieceRecord>,
-    /// Tiles, sorted by room. `mesh_bytes`, `first_light` and `light_count` are left zero.
+    /// Tiles, sorted by room. `mesh_bytes`, `first_light` and `light_count` are left zero; see
+    /// [`Partition::tables`] for `triangles`.
     pub tiles: Vec<TileRecord>,
-    /// Where each tile's triangles start in `tile_triangles`; one entry more than tiles.
+    /// Where each tile's triangles start in `tile_triangles`; one entry more than tiles. Only for scenes in
+    /// memory: [`Partition::finish`].
     pub tile_offsets: Vec<u64>,
     /// Indices of the triangles of each tile, ascending.
     pub tile_triangles: Vec<u32>,

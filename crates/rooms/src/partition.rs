@@ -1,16 +1,16 @@
-//! The whole partition: tree, rooms, tiles, tables.
+//! From triangles to rooms: tree, regions, portals, descriptions. Tiles are cut in `pieces`.
 
 use crate::cluster::{cluster, point};
 use crate::convex::{Plane, area, area_vector};
 use crate::merge::{LeafFacts, Merged, merge};
 use crate::openings::{Link, links, pieces};
 use crate::probe::Probe;
-use crate::tables::{Lists, lists, tables, touches};
+use crate::tables::{lists, tables};
 use crate::tree::{LEAF, THIN, Tree, Walls, build};
 use crate::walk::Bsp;
-use crate::{Options, RoomCount, RoomsError, Tables, TileLimit};
+use crate::{Options, RoomCount, RoomsError};
 use enf_layout::bsp::{LEAF_OUTSIDE, LEAF_SOLID};
-use enf_layout::room::{PIECE_CORNERS, PortalPieceRecord, PortalRecord, RoomRecord, TileRecord};
+use enf_layout::room::{PIECE_CORNERS, PortalPieceRecord, PortalRecord, RoomRecord};
 use glam::DVec3;
 use std::collections::BTreeMap;
 
@@ -29,20 +29,23 @@ const EYES: f64 = 1.6;
 /// A scene divided into rooms, and on demand into tiles.
 #[derive(Debug)]
 pub struct Partition {
-    tree: Tree,
-    delta: f64,
+    pub(crate) tree: Tree,
+    pub(crate) delta: f64,
     /// Room of each leaf of the base tree.
-    room: Vec<u32>,
+    pub(crate) room: Vec<u32>,
     /// Flags of each leaf of the base tree.
-    flags: Vec<u32>,
-    rooms: Vec<RoomRecord>,
-    portals: Vec<PortalRecord>,
-    pieces: Vec<PortalPieceRecord>,
-    outside: Option<u32>,
-    /// Tile of each leaf, cut ones included; empty until tiles are cut.
-    tile: Vec<u32>,
-    tile_rooms: Vec<u32>,
-    oversized: Vec<u32>,
+    pub(crate) flags: Vec<u32>,
+    pub(crate) rooms: Vec<RoomRecord>,
+    pub(crate) portals: Vec<PortalRecord>,
+    pub(crate) portal_pieces: Vec<PortalPieceRecord>,
+    pub(crate) outside: Option<u32>,
+    /// Piece of each leaf, cut ones included.
+    pub(crate) piece: Vec<u32>,
+    /// Room of each piece.
+    pub(crate) piece_rooms: Vec<u32>,
+    /// Whether pieces have been cut.
+    pub(crate) cut: bool,
+    pub(crate) oversized: Vec<u32>,
 }
 
 /// Divides a scene into rooms. `opaque(i)` tells whether no light passes straight through triangle
@@ -443,6 +446,8 @@ fn describe(
         r.first_portal = first as u32;
         r.portal_count = (end - first) as u32;
     }
+    // Until it is cut, each room is one piece, with the room's number.
+    let (piece, piece_rooms) = (room.clone(), (0..rooms.len() as u32).collect());
     Partition {
         tree,
         delta,
@@ -450,10 +455,11 @@ fn describe(
         flags,
         rooms,
         portals,
-        pieces,
+        portal_pieces: pieces,
         outside,
-        tile: Vec::new(),
-        tile_rooms: Vec::new(),
+        piece,
+        piece_rooms,
+        cut: false,
         oversized: Vec::new(),
     }
 }
@@ -525,7 +531,7 @@ fn draft(tree: &Tree, leaves: &[u32], outside: bool, probe: &Probe<'_>) -> RoomR
     }
 }
 
-fn single(p: DVec3) -> [f32; 3] {
+pub(crate) fn single(p: DVec3) -> [f32; 3] {
     p.to_array().map(|x| x as f32)
 }
 
@@ -654,327 +660,6 @@ fn groups(list: Vec<Vec<DVec3>>) -> Vec<Vec<Vec<DVec3>>> {
         grouped.entry(root).or_default().push(piece);
     }
     grouped.into_values().collect()
-}
-
-/// A tile that is being cut: its leaves, each with its triangles.
-struct Piece {
-    room: u32,
-    leaves: Vec<(u32, Vec<u32>)>,
-    /// Different triangles.
-    count: u64,
-}
-
-impl Piece {
-    fn new(room: u32, leaves: Vec<(u32, Vec<u32>)>) -> Self {
-        let count = distinct(&leaves).len() as u64;
-        Self { room, leaves, count }
-    }
-}
-
-fn distinct(leaves: &[(u32, Vec<u32>)]) -> Vec<u32> {
-    let mut all: Vec<u32> = leaves.iter().flat_map(|l| l.1.iter().copied()).collect();
-    all.sort_unstable();
-    all.dedup();
-    all
-}
-
-impl Partition {
-    /// Rooms, the outside not counted.
-    pub fn room_count_without_outside(&self) -> usize {
-        self.rooms.len() - usize::from(self.outside.is_some())
-    }
-
-    /// The rooms, without what [`Partition::finish`] fills in.
-    pub fn rooms(&self) -> &[RoomRecord] {
-        &self.rooms
-    }
-
-    /// The portals, sorted by (room, other).
-    pub fn portals(&self) -> &[PortalRecord] {
-        &self.portals
-    }
-
-    /// Convex pieces of the portals.
-    pub fn pieces(&self) -> &[PortalPieceRecord] {
-        &self.pieces
-    }
-
-    /// The outside's room id, when there is an outside.
-    pub fn outside(&self) -> Option<u32> {
-        self.outside
-    }
-
-    /// Rooms with a tile that stores more triangles than [`TileLimit::Triangles`] allowed, because
-    /// cutting further would not have helped.
-    pub fn oversized(&self) -> &[u32] {
-        &self.oversized
-    }
-
-    /// Cuts rooms into tiles by planes in free space. `triangles` must be those of the partition.
-    /// Rooms do not change. Replaces nothing: call it once.
-    ///
-    /// # Errors
-    /// [`RoomsError::Request`] for a limit of 0 or if tiles have been cut before;
-    /// [`RoomsError::Tiles`] if random cuts do not reach their number.
-    pub fn cut_tiles(
-        &mut self,
-        triangles: &[[[f32; 3]; 3]],
-        limit: TileLimit,
-    ) -> Result<(), RoomsError> {
-        if !self.tile.is_empty() {
-            return Err(RoomsError::Request("tiles have been cut already"));
-        }
-        if matches!(limit, TileLimit::Triangles(0) | TileLimit::Random { tiles: 0, .. }) {
-            return Err(RoomsError::Request("a tile limit of 0 cannot be met"));
-        }
-        let lists = lists(&self.tree, self.delta, triangles, self.tree.leaves.len(), |leaf| leaf);
-        let mut leaves_of: Vec<Vec<u32>> = vec![Vec::new(); self.rooms.len()];
-        for leaf in 0..self.tree.leaves.len() as u32 {
-            leaves_of[self.room[leaf as usize] as usize].push(leaf);
-        }
-        let whole = |room: usize| {
-            let leaves =
-                leaves_of[room].iter().map(|&l| (l, lists.of(l).to_vec())).collect::<Vec<_>>();
-            Piece::new(room as u32, leaves)
-        };
-        let mut done: Vec<Piece> = Vec::new();
-        match limit {
-            TileLimit::Triangles(most) => {
-                for room in 0..self.rooms.len() {
-                    let mut stack = vec![whole(room)];
-                    while let Some(piece) = stack.pop() {
-                        if piece.count <= most {
-                            done.push(piece);
-                            continue;
-                        }
-                        match self.median(&piece, triangles) {
-                            Some(plane) => {
-                                let [a, b] = self.cut(piece, &plane, triangles);
-                                stack.push(b);
-                                stack.push(a);
-                            }
-                            None => {
-                                if self.oversized.last() != Some(&piece.room) {
-                                    self.oversized.push(piece.room);
-                                }
-                                done.push(piece);
-                            }
-                        }
-                    }
-                }
-            }
-            TileLimit::Random { tiles, seed } => {
-                done.extend((0..self.rooms.len()).map(whole));
-                self.cut_at_random(&mut done, tiles, seed, triangles)?;
-            }
-        }
-        // A room's tiles are consecutive.
-        done.sort_by_key(|p| p.room);
-        self.tile = vec![0; self.tree.leaves.len()];
-        for (tile, piece) in done.iter().enumerate() {
-            for &(leaf, _) in &piece.leaves {
-                self.tile[leaf as usize] = tile as u32;
-            }
-        }
-        self.tile_rooms = done.iter().map(|p| p.room).collect();
-        Ok(())
-    }
-
-    fn cut_at_random(
-        &mut self,
-        done: &mut Vec<Piece>,
-        tiles: u32,
-        seed: u64,
-        triangles: &[[[f32; 3]; 3]],
-    ) -> Result<(), RoomsError> {
-        let mut state = seed;
-        let mut random = move || {
-            // Steele, Lea and Flood 2014, "Fast splittable pseudorandom number generators".
-            state = state.wrapping_add(0x9e37_79b9_7f4a_7c15);
-            let mut z = state;
-            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-            (z ^ (z >> 31)) >> 11
-        };
-        let mut failures = 0;
-        while done.len() < tiles as usize {
-            let at = (random() % done.len() as u64) as usize;
-            let all = distinct(&done[at].leaves);
-            let mut unit = || random() as f64 * (2.0 / 9_007_199_254_740_992.0) - 1.0;
-            let mut normal = DVec3::new(unit(), unit(), unit());
-            while !(0.01..=1.0).contains(&normal.length_squared()) {
-                normal = DVec3::new(unit(), unit(), unit());
-            }
-            let normal = normal / normal.length();
-            let through = if all.is_empty() {
-                let leaf = done[at].leaves.first().map_or(0, |l| l.0);
-                self.tree.leaves[leaf as usize].cell.centre()
-            } else {
-                let t = &triangles[all[(random() % all.len() as u64) as usize] as usize];
-                (point(t[0]) + point(t[1]) + point(t[2])) / 3.0
-            };
-            let plane = Plane { normal, offset: normal.dot(through) };
-            let piece = done.swap_remove(at);
-            let [a, b] = self.cut(piece, &plane, triangles);
-            if a.leaves.is_empty() || b.leaves.is_empty() {
-                failures += 1;
-                done.push(if a.leaves.is_empty() { b } else { a });
-            } else {
-                done.push(a);
-                done.push(b);
-            }
-            if failures > 1000 + 10 * tiles as usize {
-                let room = done.last().map_or(0, |p| p.room);
-                let have = done.len() as u32;
-                return Err(RoomsError::Tiles { room, have, wanted: tiles });
-            }
-        }
-        Ok(())
-    }
-
-    /// The axis-aligned plane that leaves least on its fuller side; `None` when none helps.
-    fn median(&self, piece: &Piece, triangles: &[[[f32; 3]; 3]]) -> Option<Plane> {
-        let all = distinct(&piece.leaves);
-        let margin = 4.01 * self.delta;
-        let mut cells = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for &(leaf, _) in &piece.leaves {
-            let (a, b) = self.tree.leaves[leaf as usize].cell.bounds();
-            cells = (cells.0.min(a), cells.1.max(b));
-        }
-        let mut best: Option<(usize, usize, Plane)> = None;
-        for (axis, normal) in [DVec3::X, DVec3::Y, DVec3::Z].into_iter().enumerate() {
-            let (low, high) = (cells.0[axis], cells.1[axis]);
-            let mut middles: Vec<f64> = Vec::with_capacity(all.len());
-            let mut lows: Vec<f64> = Vec::with_capacity(all.len());
-            let mut highs: Vec<f64> = Vec::with_capacity(all.len());
-            for &i in &all {
-                let t = triangles[i as usize].map(|p| f64::from(p[axis]));
-                let (a, b) =
-                    (t[0].min(t[1]).min(t[2]).max(low), t[0].max(t[1]).max(t[2]).min(high));
-                middles.push((a + b) * 0.5);
-                lows.push(a);
-                highs.push(b);
-            }
-            for list in [&mut middles, &mut lows, &mut highs] {
-                list.sort_by(f64::total_cmp);
-            }
-            for k in 1..16 {
-                let offset = middles[(middles.len() * k / 16).min(middles.len() - 1)];
-                if offset <= low + 16.0 * self.delta || offset >= high - 16.0 * self.delta {
-                    continue;
-                }
-                let back = lows.partition_point(|&x| x <= offset + margin);
-                let front = highs.len() - highs.partition_point(|&x| x < offset - margin);
-                let (most, sum) = (front.max(back), front + back);
-                if best.as_ref().is_none_or(|b| (most, sum) < (b.0, b.1)) {
-                    best = Some((most, sum, Plane { normal, offset }));
-                }
-            }
-        }
-        let (most, sum, plane) = best?;
-        // A cut must take a tenth off, and not copy nearly everything.
-        (most * 10 <= all.len() * 9 && sum * 5 <= all.len() * 9).then_some(plane)
-    }
-
-    fn cut(&mut self, piece: Piece, plane: &Plane, triangles: &[[[f32; 3]; 3]]) -> [Piece; 2] {
-        let (mut front, mut back) = (Vec::new(), Vec::new());
-        for (leaf, list) in piece.leaves {
-            let (lo, hi) = self.tree.leaves[leaf as usize].cell.range(plane);
-            let least = 16.0 * self.delta;
-            let new = if lo < -least && hi > least {
-                self.tree.split_leaf(leaf, plane, true, None)
-            } else {
-                None
-            };
-            match new {
-                Some(new) => {
-                    for (leaf, side) in [(new, &mut front), (leaf, &mut back)] {
-                        let cell = &self.tree.leaves[leaf as usize].cell;
-                        let own = list
-                            .iter()
-                            .copied()
-                            .filter(|&i| touches(cell, self.delta, &triangles[i as usize]))
-                            .collect();
-                        side.push((leaf, own));
-                    }
-                }
-                None if hi > -lo => front.push((leaf, list)),
-                None => back.push((leaf, list)),
-            }
-        }
-        [Piece::new(piece.room, front), Piece::new(piece.room, back)]
-    }
-
-    /// Writes the tables. `triangles` must be those of the partition. Without
-    /// [`Partition::cut_tiles`], each room is one tile.
-    pub fn finish(mut self, triangles: &[[[f32; 3]; 3]]) -> Tables {
-        let tree = &self.tree;
-        if self.tile.is_empty() {
-            self.tile.clone_from(&self.room);
-            self.tile_rooms = (0..self.rooms.len() as u32).collect();
-        }
-        let count = tree.leaves.len();
-        // Leaves of a tile are consecutive.
-        let mut order: Vec<u32> = (0..count as u32).collect();
-        order.sort_by_key(|&l| (self.tile[l as usize], l));
-        let mut number = vec![0u32; count];
-        for (i, &leaf) in order.iter().enumerate() {
-            number[leaf as usize] = i as u32;
-        }
-        let base = |leaf: u32| tree.leaves[leaf as usize].base as usize;
-        let bsp = tables(tree, self.delta, &number, |leaf| {
-            (self.room[base(leaf)], self.tile[leaf as usize], self.flags[base(leaf)])
-        });
-        let Lists { offsets, triangles: tile_triangles } =
-            lists(tree, self.delta, triangles, self.tile_rooms.len(), |l| self.tile[l as usize]);
-        let mut rooms = self.rooms;
-        for t in triangles {
-            let centroid = (point(t[0]) + point(t[1]) + point(t[2])) / 3.0;
-            rooms[self.room[base(tree.locate(centroid))] as usize].triangles += 1;
-        }
-        let mut tiles: Vec<TileRecord> = self
-            .tile_rooms
-            .iter()
-            .enumerate()
-            .map(|(i, &room)| TileRecord {
-                room,
-                first_light: 0,
-                light_count: 0,
-                reserved: 0,
-                triangles: offsets[i + 1] - offsets[i],
-                mesh_bytes: 0,
-                min: [f32::INFINITY; 3],
-                max: [f32::NEG_INFINITY; 3],
-            })
-            .collect();
-        for (leaf, at) in tree.leaves.iter().enumerate() {
-            let (lo, hi) = at.cell.bounds();
-            let tile = &mut tiles[self.tile[leaf] as usize];
-            for k in 0..3 {
-                tile.min[k] = tile.min[k].min(single(lo)[k]);
-                tile.max[k] = tile.max[k].max(single(hi)[k]);
-            }
-        }
-        for (i, room) in rooms.iter_mut().enumerate() {
-            let first = self.tile_rooms.partition_point(|&r| (r as usize) < i);
-            let end = self.tile_rooms.partition_point(|&r| r as usize <= i);
-            room.first_tile = first as u32;
-            room.tile_count = (end - first) as u32;
-        }
-        Tables {
-            planes: bsp.planes,
-            nodes: bsp.nodes,
-            leaves: bsp.leaves,
-            faces: bsp.faces,
-            rooms,
-            portals: self.portals,
-            pieces: self.pieces,
-            tiles,
-            tile_offsets: offsets,
-            tile_triangles,
-            outside: self.outside,
-        }
-    }
 }
 
 const _: () = assert!(THIN < SOLID_WIDTH);

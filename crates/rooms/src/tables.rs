@@ -3,7 +3,7 @@
 
 use crate::cluster::point;
 use crate::convex::{Plane, Polytope, clip_behind};
-use crate::tree::{BOUND, LEAF, Tree};
+use crate::tree::{BOUND, LEAF, Tree, range};
 use enf_layout::NONE;
 use enf_layout::bsp::{FACE_IN_FRONT, FaceRecord, LeafRecord, NodeRecord, PlaneRecord};
 use glam::DVec3;
@@ -115,8 +115,25 @@ pub(crate) fn bin(
     mut found: impl FnMut(u32),
 ) {
     let margin = LISTED * delta;
+    // Most triangles are small: they go down whole, without a polygon of their own.
+    let corners = triangle.map(point);
+    let mut at = from;
+    while at & LEAF == 0 {
+        let node = &tree.nodes[at as usize];
+        let [a, b, c] = corners.map(|p| node.plane.distance(p));
+        at = if a.min(b).min(c) > margin {
+            node.front
+        } else if a.max(b).max(c) < -margin {
+            node.back
+        } else {
+            break;
+        };
+    }
+    if at & LEAF != 0 {
+        return found(at & !LEAF);
+    }
     scratch.clear();
-    scratch.push((from, triangle.map(point).to_vec()));
+    scratch.push((at, corners.to_vec()));
     while let Some((mut at, mut poly)) = scratch.pop() {
         loop {
             if at & LEAF != 0 {
@@ -124,12 +141,7 @@ pub(crate) fn bin(
                 break;
             }
             let node = &tree.nodes[at as usize];
-            let (mut lo, mut hi) = (f64::INFINITY, f64::NEG_INFINITY);
-            for &p in &poly {
-                let s = node.plane.distance(p);
-                lo = lo.min(s);
-                hi = hi.max(s);
-            }
+            let (lo, hi) = range(&poly, &node.plane);
             if lo > margin {
                 at = node.front;
             } else if hi < -margin {
@@ -155,25 +167,6 @@ pub(crate) fn bin(
             }
         }
     }
-}
-
-/// Whether a triangle touches the half-spaces of a cell, moved out by 4 δ.
-pub(crate) fn touches(cell: &Polytope, delta: f64, triangle: &[[f32; 3]; 3]) -> bool {
-    let margin = LISTED * delta;
-    let mut poly = triangle.map(point).to_vec();
-    let mut out = Vec::new();
-    for face in &cell.faces {
-        let plane = face.plane.moved(margin);
-        if poly.iter().all(|&p| plane.distance(p) <= 0.0) {
-            continue;
-        }
-        clip_behind(&poly, &plane, &mut out);
-        std::mem::swap(&mut poly, &mut out);
-        if poly.is_empty() {
-            return false;
-        }
-    }
-    true
 }
 
 /// Lists of triangles, one after the other.

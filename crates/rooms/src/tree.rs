@@ -447,7 +447,11 @@ impl Tree {
 
     /// The leaf of a point; on a plane counts as front.
     pub(crate) fn locate(&self, p: DVec3) -> u32 {
-        let mut at = self.root();
+        self.locate_below(self.root(), p)
+    }
+
+    /// The same, for a point that is known to lie below a node (or in a leaf).
+    pub(crate) fn locate_below(&self, mut at: u32, p: DVec3) -> u32 {
         while at & LEAF == 0 {
             let node = &self.nodes[at as usize];
             at = if node.plane.distance(p) >= 0.0 { node.front } else { node.back };
