@@ -3,10 +3,11 @@
 use enf_layout::bsp::LEAF_OUTSIDE;
 use enf_layout::light::{EmitterRecord, LIGHT_AREA, LightRecord};
 use enf_layout::material::MaterialRecord;
-use enf_layout::room::RoomRecord;
+use enf_rooms::{Partition, Scratch};
 use glam::Vec3;
 
-use crate::World;
+use crate::bins::Record;
+use crate::build::World;
 
 /// Half the side of the square panel, m.
 const HALF_SIDE: f32 = 0.3;
@@ -30,14 +31,31 @@ pub fn parse_lux(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Adds a panel to each room that has a floor and a ceiling; returns how many.
-pub(crate) fn hang(world: &mut World, rooms: &[RoomRecord], lux: f64) -> usize {
-    let original = world.corners.len();
+/// Adds a panel to each room that has a floor and a ceiling; returns how many. `walls` are the large
+/// triangles of the scene; the panels' own are numbered from `next` on.
+pub(crate) fn hang(
+    world: &mut World,
+    partition: &Partition,
+    walls: &[[[f32; 3]; 3]],
+    next: u32,
+    lux: f64,
+) -> usize {
+    // Which walls each room sees; pieces are rooms as long as nothing is cut.
+    let mut near: Vec<(u32, u32)> = Vec::new();
+    let mut scratch = Scratch::default();
+    for (i, wall) in walls.iter().enumerate() {
+        let start = partition.start([f32::MIN; 3], [f32::MAX; 3]);
+        partition.route(start, wall, &mut scratch, |room| near.push((room, i as u32)));
+    }
+    near.sort_unstable();
     let mut hung = 0;
-    for (id, room) in rooms.iter().enumerate() {
+    for (id, room) in partition.rooms().iter().enumerate() {
         if room.flags & LEAF_OUTSIDE != 0 || room.floor_area_m2 < 0.5 {
             continue;
         }
+        let first = near.partition_point(|n| (n.0 as usize) < id);
+        let end = near.partition_point(|n| n.0 as usize <= id);
+        let own = || near[first..end].iter().map(|n| &walls[n.1 as usize]);
         let at = Vec3::from(room.inside);
         let mut half =
             HALF_SIDE.min((room.max[0] - room.min[0]).min(room.max[1] - room.min[1]) / 4.0);
@@ -45,7 +63,7 @@ pub(crate) fn hang(world: &mut World, rooms: &[RoomRecord], lux: f64) -> usize {
         let mut ceiling = None;
         while half > 0.04 {
             let heights: Option<Vec<f32>> =
-                probes(at, half).iter().map(|&p| above(&world.corners[..original], p)).collect();
+                probes(at, half).iter().map(|&p| above(own(), p)).collect();
             if let Some(heights) = heights {
                 let (low, high) =
                     heights.iter().fold((f32::INFINITY, 0.0f32), |(l, h), &z| (l.min(z), h.max(z)));
@@ -66,12 +84,10 @@ pub(crate) fn hang(world: &mut World, rooms: &[RoomRecord], lux: f64) -> usize {
         // Counter-clockwise seen from below.
         let quad = [corner(-1., -1.), corner(-1., 1.), corner(1., 1.), corner(1., -1.)];
         let material = world.materials.len() as u32;
-        let first = world.corners.len() as u32;
+        let first = next + world.added.len() as u32;
         let triangles = [[quad[0], quad[1], quad[2]], [quad[0], quad[2], quad[3]]];
-        for triangle in triangles {
-            if world.corners.push(triangle).is_err() || world.material_of.push(material).is_err() {
-                return hung;
-            }
+        for (i, corners) in triangles.into_iter().enumerate() {
+            world.added.push(Record { corners, index: first + i as u32, material });
         }
         world.materials.push(MaterialRecord {
             diffuse: [0.5; 3],
@@ -115,9 +131,9 @@ fn probes(at: Vec3, half: f32) -> [Vec3; 5] {
 }
 
 /// Height of the lowest triangle above a point.
-fn above(corners: &[[[f32; 3]; 3]], p: Vec3) -> Option<f32> {
+fn above<'a>(walls: impl Iterator<Item = &'a [[f32; 3]; 3]>, p: Vec3) -> Option<f32> {
     let mut lowest: Option<f32> = None;
-    for triangle in corners {
+    for triangle in walls {
         let [a, b, c] = triangle.map(|v| [f64::from(v[0]), f64::from(v[1]), f64::from(v[2])]);
         let (x, y) = (f64::from(p.x), f64::from(p.y));
         let side =
@@ -152,7 +168,7 @@ mod tests {
     fn the_lowest_triangle_above_counts() {
         let sheet = |z: f32| [[-1.0, -1.0, z], [1.0, -1.0, z], [0.0, 2.0, z]];
         let scene = [sheet(3.0), sheet(2.5), sheet(0.0)];
-        assert_eq!(above(&scene, Vec3::new(0.0, 0.0, 1.0)), Some(2.5));
-        assert_eq!(above(&scene, Vec3::new(5.0, 0.0, 1.0)), None);
+        assert_eq!(above(scene.iter(), Vec3::new(0.0, 0.0, 1.0)), Some(2.5));
+        assert_eq!(above(scene.iter(), Vec3::new(5.0, 0.0, 1.0)), None);
     }
 }

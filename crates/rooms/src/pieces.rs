@@ -7,10 +7,10 @@
 //! triangles. [`Partition::cut_tiles`] and [`Partition::finish`] do it all for scenes in memory.
 
 use crate::cluster::point;
-use crate::convex::Plane;
+use crate::convex::{Face, Plane};
 use crate::partition::{Partition, single};
 use crate::tables::{bin, lists, tables};
-use crate::tree::LEAF;
+use crate::tree::{LEAF, Leaf, Node};
 use crate::{RoomsError, Tables, TileLimit};
 use enf_layout::room::{PortalPieceRecord, PortalRecord, RoomRecord, TileRecord};
 use glam::DVec3;
@@ -79,6 +79,22 @@ impl Partition {
     /// Rooms with a piece that is above its limit, because cutting further would not have helped.
     pub fn oversized(&self) -> &[u32] {
         &self.oversized
+    }
+
+    /// Heap bytes of the tree and its cells, about.
+    pub fn resident_bytes(&self) -> u64 {
+        let tree = &self.tree;
+        let faces: usize = tree.leaves.iter().map(|l| l.cell.faces.len()).sum();
+        let corners: usize =
+            tree.leaves.iter().flat_map(|l| &l.cell.faces).map(|f| f.corners.len()).sum();
+        let sheets: usize =
+            tree.nodes.iter().flat_map(|n| &n.sheets).map(|s| s.corners.len() * 24 + 48).sum();
+        (tree.leaves.len() * (size_of::<Leaf>() + 16)
+            + faces * (size_of::<Face>() + 16)
+            + corners * size_of::<DVec3>()
+            + tree.nodes.len() * size_of::<Node>()
+            + sheets
+            + self.portal_pieces.len() * size_of::<PortalPieceRecord>()) as u64
     }
 
     /// All pieces, by room. Before anything is cut, piece `i` is room `i`.

@@ -9,6 +9,7 @@
 //! | How are bytes packed on their way to the disk? | [`encode`](mod@encode) |
 //! | How do I read, map and check what was written? | [`reader`] |
 //! | What does the seal of a finished stage say? | [`seal`] |
+//! | Where do I sort what does not fit in memory? | [`scratch`] |
 //! | What went wrong, where, and what helps? | [`error`] |
 //!
 //! A stage of one process is three files: `trace.000.000.dat` holds extents, `trace.000.journal`
@@ -25,6 +26,7 @@ mod load;
 mod map;
 pub mod reader;
 mod replay;
+pub mod scratch;
 pub mod seal;
 pub mod writer;
 
@@ -36,4 +38,5 @@ pub use identity::Identity;
 pub use load::{Extent, ExtentReader};
 pub use map::{Mapped, give_back_free_memory, tune_allocator};
 pub use reader::{StageReader, Verified, verify};
+pub use scratch::ScratchFile;
 pub use writer::StageWriter;
