@@ -119,4 +119,3 @@ pub struct Cli {
     #[allow(missing_docs)]
     pub common: CommonArgs,
 }
-

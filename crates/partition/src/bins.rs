@@ -14,7 +14,7 @@ const LONGEST_ROW: u64 = 8192;
 const SHORTEST_ROW: u64 = 64;
 /// More memory than this speeds nothing up.
 const MOST_MEMORY: u64 = 96 << 20;
-const LEAST_MEMORY: u64 = 1 << 20;
+const LEAST_MEMORY: u64 = 512 << 10;
 
 /// A triangle on its way to its tiles. In this process only: a scratch file is never read by another.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -63,6 +63,9 @@ pub(crate) struct Bins {
 }
 
 impl Filling {
+    /// What it takes at least, with few bins.
+    pub(crate) const LEAST_BYTES: u64 = LEAST_MEMORY + ScratchFile::MEMORY_BYTES;
+
     /// Bins `0..count`; they take a third of what is free, within reason.
     ///
     /// # Errors
@@ -95,9 +98,8 @@ impl Filling {
     /// Exit 5 when the scratch file takes no more.
     pub(crate) fn push(&mut self, bin: u32, records: &[Record]) -> Result<()> {
         let Self { table, file, chains, longest, .. } = self;
-        Ok(table.push(bin, records, &mut |bin, records| {
-            spill(file, chains, longest, bin, records)
-        })?)
+        Ok(table
+            .push(bin, records, &mut |bin, records| spill(file, chains, longest, bin, records))?)
     }
 
     /// Puts everything on disk, ready to be read.
@@ -143,7 +145,11 @@ impl Bins {
     ///
     /// # Errors
     /// Exit 5 when the scratch file cannot be read, and what `found` says.
-    pub(crate) fn read(&self, bin: u32, mut found: impl FnMut(&[Record]) -> Result<()>) -> Result<()> {
+    pub(crate) fn read(
+        &self,
+        bin: u32,
+        mut found: impl FnMut(&[Record]) -> Result<()>,
+    ) -> Result<()> {
         let Some(&chain) = self.chains.get(bin as usize) else { return Ok(()) };
         let mut block = <[Record]>::new_box_zeroed_with_elems(self.longest)
             .map_err(|_| enf_stage::Failure::internal("no memory for a block of triangles"))?;

@@ -26,8 +26,8 @@ use crate::{luminaires, route};
 const MESH_BYTES_PER_TRIANGLE: u64 = 27;
 /// Bytes that finding rooms takes per surveyed triangle, beside the triangle: planes, fragments, lists.
 const WORK_BYTES_PER_TRIANGLE: u64 = 48;
-/// What finding rooms and sorting triangles take in any case: rows, queues, a tile being encoded.
-const LEAST_WORK: u64 = 2 << 20;
+/// The cells of the smallest scene, and a tile of it being encoded.
+const LEAST_CELLS: u64 = 512 << 10;
 
 /// The scene's materials and lights, with what rooms add to them.
 pub(crate) struct World {
@@ -138,11 +138,11 @@ pub(crate) fn build(
     let material_hash: Vec<u64> = world.materials.iter().map(|m| xxh3_64(m.as_bytes())).collect();
     let (passed, bins) = {
         let _span = lane.span("sort triangles", count);
-        let _batches = budget.reserve(route::memory_bytes(common.threads), "batches of triangles")?;
+        let _batches =
+            budget.reserve(route::memory_bytes(common.threads), "batches of triangles")?;
         let mut filling = Filling::new(store, &budget, rooms.pieces().len())?;
         let extra = &world.added;
-        let passed =
-            route::route(scene, extra, &rooms, &material_hash, common, &mut filling)?;
+        let passed = route::route(scene, extra, &rooms, &material_hash, common, &mut filling)?;
         (passed, filling.full()?)
     };
     let mut sorted = Sorted::new(&rooms, bins);
@@ -316,21 +316,23 @@ fn corners_of_a_cube() -> impl Iterator<Item = DVec3> {
 fn refuse_if_hopeless(cli: &Cli, budget: &MemoryBudget, scene: &Scene, count: u64) -> Result<()> {
     let (own, meshes) = (budget.reserved(), scene.resident_bytes());
     let size = survey::size(count);
-    let (triangles, work) =
-        (size * survey::BYTES_PER_TRIANGLE, size * WORK_BYTES_PER_TRIANGLE + LEAST_WORK);
-    let needs = own + meshes + triangles + work;
+    let (triangles, work) = (size * survey::BYTES_PER_TRIANGLE, size * WORK_BYTES_PER_TRIANGLE);
+    // First the survey, then, when it is gone, the bins.
+    let sorting = route::memory_bytes(cli.common.threads) + Filling::LEAST_BYTES + LEAST_CELLS;
+    let needs = own + meshes + (triangles + work).max(sorting);
     if needs <= budget.limit() {
         return Ok(());
     }
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     Err(Failure::budget(format!(
-        "{}: to find rooms, the {size} largest of {count} triangles need {} MiB of {} before there are rooms to \
-         name: triangles {}, walls and lists {}, the scene's meshes {}, the program {}",
+        "{}: to find rooms in the {size} largest of {count} triangles needs {} MiB of {}: triangles {}, walls \
+         and lists {}, then sorting {}, the scene's meshes {}, the program {}",
         cli.scene.display(),
         mib(needs),
         budget.limit() >> 20,
         mib(triangles),
         mib(work),
+        mib(sorting),
         mib(meshes),
         mib(own)
     ))

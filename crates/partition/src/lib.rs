@@ -89,7 +89,11 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
                 } else {
                     writer
                 };
-                build::build(cli, &mut session, &scene, &store, *writer)?;
+                if let Err(e) = build::build(cli, &mut session, &scene, &store, *writer) {
+                    // Nor is it worth its place on the disk.
+                    let _ = store.discard_from(StageKind::Partition);
+                    return Err(e);
+                }
                 false
             }
         };

@@ -133,7 +133,8 @@ impl Sorted {
         let count = |i: usize| self.bins[self.pieces[i].1].count(self.pieces[i].0.number());
         let tiles = self.pieces.len();
         let reading = self.bins.iter().map(Bins::read_bytes).max().unwrap_or(0);
-        let largest = (0..tiles).map(count).max().unwrap_or(0) * ENCODE_BYTES_PER_TRIANGLE + reading;
+        let largest =
+            (0..tiles).map(count).max().unwrap_or(0) * ENCODE_BYTES_PER_TRIANGLE + reading;
         let threads = common
             .threads
             .min((budget.available() / largest.max(1)) as usize)
@@ -155,9 +156,8 @@ impl Sorted {
                 for record in &records {
                     lights_of(record, &mut lights);
                 }
-                let blob = TileMesh::build_blob(
-                    records.iter().map(|r| (r.index, r.material, r.corners)),
-                );
+                let blob =
+                    TileMesh::build_blob(records.iter().map(|r| (r.index, r.material, r.corners)));
                 let triangles = records.len() as u64;
                 drop(records);
                 Ok((triangles, blob.len() as u64, lights, encode(&blob, Codec::ZstdPlanes)?))

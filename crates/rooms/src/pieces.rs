@@ -450,8 +450,9 @@ impl Partition {
             TileLimit::Random { tiles, seed } => self.cut_at_random(triangles, tiles, seed),
             TileLimit::Triangles(most) => {
                 let pieces = self.pieces();
-                let lists =
-                    lists(&self.tree, self.delta, triangles, pieces.len(), |l| self.piece[l as usize]);
+                let lists = lists(&self.tree, self.delta, triangles, pieces.len(), |l| {
+                    self.piece[l as usize]
+                });
                 for piece in pieces {
                     let own: Vec<_> =
                         lists.of(piece.number).iter().map(|&i| triangles[i as usize]).collect();

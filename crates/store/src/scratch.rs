@@ -9,7 +9,7 @@ use std::path::PathBuf;
 use crate::{StoreDir, StoreError};
 
 /// Writes are gathered up to so many bytes.
-const GATHERED: usize = 1 << 20;
+const GATHERED: usize = 256 << 10;
 
 /// An unnamed file in a store's directory. Its bytes mean what the writer says; nobody else sees them.
 pub struct ScratchFile {
