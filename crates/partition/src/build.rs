@@ -85,7 +85,7 @@ pub(crate) fn build(
     let dense = interrupt::nothing_to_lose()?;
     let survey = {
         let _span = lane.span("survey", count);
-        Survey::take(scene, common, &budget)?
+        Survey::take(scene, survey::size(count), common, &budget)?
     };
     let work = budget.reserve(
         survey.corners.len() as u64 * WORK_BYTES_PER_TRIANGLE,

@@ -38,13 +38,18 @@ fn bucket(corners: &[[f32; 3]; 3]) -> usize {
 }
 
 impl Survey {
-    /// Streams the scene once, or twice if it has more triangles than are looked at.
+    /// Takes the `size` largest triangles of the scene (of those that are equally large, to 0.4 %, the first).
+    /// Streams it once, or twice if it has more.
     ///
     /// # Errors
     /// Exit 3 without place for the survey.
-    pub(crate) fn take(scene: &Scene, common: &CommonArgs, budget: &MemoryBudget) -> Result<Self> {
+    pub(crate) fn take(
+        scene: &Scene,
+        size: u64,
+        common: &CommonArgs,
+        budget: &MemoryBudget,
+    ) -> Result<Self> {
         let count = scene.triangle_count();
-        let size = size(count);
         let mut survey = Self {
             corners: Array::with_capacity(budget, size as usize, "large triangles")?,
             material_of: Array::with_capacity(budget, size as usize, "large triangles")?,
@@ -101,6 +106,39 @@ mod tests {
         assert_eq!(size(ALWAYS + 1), ALWAYS);
         assert_eq!(size(257_000_000), 257_000_000 / ONE_OF);
         assert_eq!(size(1 << 32), AT_MOST);
+    }
+
+    #[test]
+    fn the_largest_are_taken() {
+        #[derive(clap::Parser)]
+        struct Cli {
+            #[command(flatten)]
+            common: CommonArgs,
+        }
+        let common = <Cli as clap::Parser>::parse_from(["test"]).common;
+        let dir = tempfile::tempdir().unwrap();
+        let obj = dir.path().join("a.obj");
+        // Sizes 1 to 40, shuffled, each twice.
+        let sizes: Vec<u32> = (0..80).map(|i| i * 27 % 80 / 2 + 1).collect();
+        let mut text = String::new();
+        for (i, s) in sizes.iter().enumerate() {
+            text += &format!("v {i} 0 0\nv {i} {s} 0\nv {i} 0 {s}\nf -3 -2 -1\n");
+        }
+        std::fs::write(&obj, text).unwrap();
+        let scene = enf_scene::load(&obj, &enf_scene::LoadOptions::default()).unwrap();
+        let budget = MemoryBudget::new(1 << 20);
+        for size in [1, 2, 7, 33, 79, 80] {
+            let survey = Survey::take(&scene, size, &common, &budget).unwrap();
+            // Of two that are alike, the first; in global order.
+            let mut by_size: Vec<(u32, usize)> =
+                sizes.iter().enumerate().map(|(i, &s)| (s, i)).collect();
+            by_size.sort_by_key(|&(s, i)| (std::cmp::Reverse(s), i));
+            let mut want: Vec<usize> = by_size[..size as usize].iter().map(|&(_, i)| i).collect();
+            want.sort_unstable();
+            let got: Vec<usize> =
+                survey.corners.iter().map(|t| (t[0][0] - scene.bounds.0[0]) as usize).collect();
+            assert_eq!(got, want, "{size}");
+        }
     }
 
     #[test]

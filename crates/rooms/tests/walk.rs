@@ -1,6 +1,6 @@
 //! The walk finds the nearest triangle of all, whatever the partition.
 
-use enf_rooms::{Bsp, Hint, Options, RoomCount, Tables, TileLimit, partition};
+use enf_rooms::{Bsp, Hint, Options, Partition, RoomCount, Scratch, Tables, TileLimit, partition};
 use glam::DVec3;
 use proptest::prelude::*;
 
@@ -208,6 +208,62 @@ proptest! {
             prop_assert_eq!(*a, b);
         }
         prop_assert_eq!(whole.portals, cut.portals);
+    }
+
+    #[test]
+    fn a_scene_that_streams_past_is_divided_as_well(
+        triangles in prop::collection::vec(triangle(), 12..120),
+        seeds in prop::collection::vec((corner(), corner(), any::<u32>()), 12),
+        limit in 3u64..30,
+        near in 1usize..9,
+        weight in 1u32..4,
+    ) {
+        // Rooms from some of the triangles, cuts from a sample of each room's.
+        let survey: Vec<Triangle> = triangles.iter().step_by(3).copied().collect();
+        let mut parted = partition(&survey, &|_| true, &options()).unwrap();
+        let lists = |parted: &Partition| {
+            let mut lists: Vec<Vec<u32>> = Vec::new();
+            let mut owned = vec![0u64; parted.rooms().len()];
+            let mut scratch = Scratch::default();
+            for (k, group) in triangles.chunks(near).enumerate() {
+                let corners = || group.iter().flatten();
+                let fold = |f: fn(f32, f32) -> f32, from: f32| {
+                    [0, 1, 2].map(|a| corners().fold(from, |m, c| f(m, c[a])))
+                };
+                let start =
+                    parted.start(fold(f32::min, f32::INFINITY), fold(f32::max, f32::NEG_INFINITY));
+                for (i, t) in group.iter().enumerate() {
+                    owned[parted.owner(start, t) as usize] += 1;
+                    parted.route(start, t, &mut scratch, |piece| {
+                        lists.resize(lists.len().max(piece as usize + 1), Vec::new());
+                        lists[piece as usize].push((k * near + i) as u32);
+                    });
+                }
+            }
+            lists.resize(lists.len().max(4096), Vec::new());
+            (lists, owned)
+        };
+        let (before, _) = lists(&parted);
+        let mut order = Vec::new();
+        for piece in parted.pieces() {
+            let mine = &before[piece.number() as usize];
+            let sample: Vec<Triangle> =
+                mine.iter().step_by(weight as usize).map(|&i| triangles[i as usize]).collect();
+            let parts = parted.cut_piece(piece, &sample, f64::from(weight), limit);
+            order.extend(parts.iter().map(|p| p.number()));
+        }
+        let (after, owned) = lists(&parted);
+        let mut tables = parted.tables(&order);
+        tables.tile_offsets.push(0);
+        for &piece in &order {
+            tables.tile_triangles.extend(&after[piece as usize]);
+            tables.tile_offsets.push(tables.tile_triangles.len() as u64);
+        }
+        for (room, n) in tables.rooms.iter_mut().zip(owned) {
+            room.triangles = n;
+        }
+        prop_assert_eq!(tables.tiles.len(), order.len());
+        check(&triangles, &tables, &rays(&triangles, &seeds));
     }
 
     #[test]
