@@ -13,6 +13,7 @@
 compile_error!("Enfilade's stores are little-endian and read in place");
 
 pub mod bsp;
+pub mod bvh;
 pub mod codec;
 pub mod film;
 pub mod geometry;

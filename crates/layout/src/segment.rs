@@ -108,6 +108,8 @@ pub enum ExtentKind {
     Identity = 25,
     /// [`crate::journal::LightPairRecord`]s: what one epoch added.
     LightPairs = 26,
+    /// One tile's bounding volume hierarchy, a [`crate::sections`] blob of [`crate::bvh`]; id = tile.
+    Bvh = 27,
 }
 
 impl ExtentKind {
@@ -141,6 +143,7 @@ impl ExtentKind {
             Passages,
             Identity,
             LightPairs,
+            Bvh,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

@@ -15,7 +15,6 @@ mod build;
 mod walk;
 
 pub use build::{build_grid, grid_build_bytes, grid_bytes_estimate};
-pub use walk::nearest_by_force;
 
 pub use enf_layout::grid::{BrickRecord, GridHeader};
 

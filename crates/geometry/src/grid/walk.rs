@@ -2,7 +2,8 @@
 
 use super::{BRICK, GridView};
 use crate::mesh::TileMesh;
-use crate::ray::{Hit, PreparedRay, intersect_along};
+use crate::query::{Query, nearest_by_force};
+use crate::ray::{Hit, PreparedRay};
 
 /// Mailboxes (Amanatides and Woo 1987), few enough to clear for each ray: one holds the last triangle that
 /// was tested among those that share it.
@@ -10,70 +11,6 @@ const MAILBOXES: usize = 64;
 
 /// Origins farther out than this many tolerances are beyond what the walk's arithmetic can vouch for.
 const FAR: f64 = (1u64 << 44) as f64;
-
-/// What a query asks for; narrows as hits are found.
-struct Query<'m> {
-    mesh: &'m TileMesh<'m>,
-    exclude: u32,
-    delta: f32,
-    t_min: f32,
-    best: Hit,
-    found: bool,
-}
-
-impl Query<'_> {
-    #[inline(always)]
-    fn test<const Z: usize>(&mut self, ray: &PreparedRay, triangle: u32) {
-        let corners = self.mesh.corner_arrays(triangle);
-        if let Some((t, u, v)) = intersect_along::<Z>(ray, corners, self.delta) {
-            self.offer(triangle, t, u, v);
-        }
-    }
-
-    #[inline(never)]
-    fn offer(&mut self, triangle: u32, t: f32, u: f32, v: f32) {
-        let global = self.mesh.global[triangle as usize];
-        let nearer =
-            t < self.best.t || (self.found && t == self.best.t && global < self.best.global);
-        if nearer && t >= self.t_min && global != self.exclude {
-            self.best = Hit { t, triangle, global, u, v };
-            self.found = true;
-        }
-    }
-
-    fn answer(self) -> Option<Hit> {
-        self.found.then_some(self.best)
-    }
-}
-
-/// The nearest canonical hit with `t_min <= t < t_max` (m) on a triangle other than `exclude` (global index
-/// or [`crate::NONE`]), by testing them all; ties go to the smaller global index. What
-/// [`GridView::nearest`] must agree with, and what it does when it cannot be sure.
-pub fn nearest_by_force(
-    mesh: &TileMesh,
-    ray: &PreparedRay,
-    t_min: f32,
-    t_max: f32,
-    exclude: u32,
-    delta: f32,
-) -> Option<Hit> {
-    let mut query = Query::new(mesh, t_min, t_max, exclude, delta);
-    for triangle in 0..mesh.len() {
-        match ray.axis {
-            0 => query.test::<0>(ray, triangle),
-            1 => query.test::<1>(ray, triangle),
-            _ => query.test::<2>(ray, triangle),
-        }
-    }
-    query.answer()
-}
-
-impl<'m> Query<'m> {
-    fn new(mesh: &'m TileMesh<'m>, t_min: f32, t_max: f32, exclude: u32, delta: f32) -> Self {
-        let best = Hit { t: t_max, triangle: 0, global: 0, u: 0.0, v: 0.0 };
-        Self { mesh, exclude, delta, t_min, best, found: false }
-    }
-}
 
 impl GridView<'_> {
     /// The canonical hit with the smallest `(t, global)` among those with `t_min <= t < t_max` (m) on

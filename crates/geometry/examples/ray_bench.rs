@@ -1,11 +1,13 @@
-//! Rays per second in a furnished room: `grid_bench [triangles] [rays]`.
+//! Rays per second in a furnished room, grid and hierarchy in turn: `ray_bench [triangles] [rays]`.
 //!
 //! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes.
 //! Rays are incoherent: diffuse bounces from random places, one after the other, as photons are.
 
 use std::time::Instant;
 
-use enf_geometry::{GridView, NONE, PreparedRay, Ray, TileMesh, build_grid, grid_bytes_estimate};
+use enf_geometry::{
+    BvhView, GridView, NONE, PreparedRay, Ray, TileMesh, build_bvh, build_grid, grid_bytes_estimate,
+};
 use glam::Vec3;
 
 struct Random(u64);
@@ -106,11 +108,24 @@ fn main() {
     );
     println!("{:?}", grid.header());
 
+    let start = Instant::now();
+    let bvh_blob = build_bvh(&mesh, delta);
+    let built = start.elapsed();
+    let start = Instant::now();
+    let bvh = BvhView::from_blob(&bvh_blob, mesh.len()).expect("a hierarchy that was just built");
+    println!(
+        "hierarchy: {} bytes ({:.1} a triangle), {} nodes, built in {built:?}, checked in {:?}",
+        bvh_blob.len(),
+        bvh_blob.len() as f64 / mesh.len() as f64,
+        bvh.node_count(),
+        start.elapsed()
+    );
+
+    // Walks of photons, written down.
+    let mut walks: Vec<(Ray, u32)> = Vec::with_capacity(rays);
     let mut origin = Vec3::new(10.0, 7.5, 2.0);
     let mut last = NONE;
-    let (mut hits, mut length) = (0u64, 0.0f64);
     let directions: Vec<Vec3> = (0..1 << 16).map(|_| random.direction()).collect();
-    let start = Instant::now();
     for i in 0..rays {
         let mut direction = directions[i & 0xFFFF];
         if last != NONE {
@@ -120,11 +135,9 @@ fn main() {
             }
         }
         let ray = Ray { origin, direction };
-        let prepared = PreparedRay::new(&ray);
-        match grid.nearest(&mesh, &prepared, 0.0, f32::INFINITY, last, delta) {
+        walks.push((ray, last));
+        match bvh.nearest(&mesh, &PreparedRay::new(&ray), 0.0, f32::INFINITY, last, delta) {
             Some(hit) if i % 17 != 0 => {
-                hits += 1;
-                length += f64::from(hit.t);
                 origin = ray.at(hit.t);
                 last = hit.global;
             }
@@ -134,11 +147,39 @@ fn main() {
             }
         }
     }
-    let seconds = start.elapsed().as_secs_f64();
-    println!(
-        "{:.2} M rays/s, {:.1} ns each, {hits} hits, mean length {:.3} m",
-        rays as f64 / seconds / 1e6,
-        seconds / rays as f64 * 1e9,
-        length / hits as f64
-    );
+    type Nearest<'a> = &'a dyn Fn(&PreparedRay, u32) -> Option<enf_geometry::Hit>;
+    let ways: [(&str, Nearest<'_>); 3] = [
+        ("grid", &|ray, last| grid.nearest(&mesh, ray, 0.0, f32::INFINITY, last, delta)),
+        ("hierarchy", &|ray, last| bvh.nearest(&mesh, ray, 0.0, f32::INFINITY, last, delta)),
+        ("hierarchy, portable", &|ray, last| {
+            bvh.nearest_portable(&mesh, ray, 0.0, f32::INFINITY, last, delta)
+        }),
+    ];
+    // In turn, so that what else the machine does falls on all of them; medians.
+    let mut times = [const { Vec::new() }; 3];
+    let mut sums = [0.0f64; 3];
+    for _ in 0..5 {
+        for (k, (_, nearest)) in ways.iter().enumerate() {
+            let start = Instant::now();
+            let mut length = 0.0;
+            for (ray, last) in &walks {
+                if let Some(hit) = nearest(&PreparedRay::new(ray), *last) {
+                    length += f64::from(hit.t);
+                }
+            }
+            sums[k] = length;
+            times[k].push(start.elapsed().as_secs_f64());
+        }
+    }
+    assert!(sums[0] == sums[1] && sums[1] == sums[2], "not the same hits: {sums:?}");
+    for ((name, _), times) in ways.iter().zip(&mut times) {
+        times.sort_by(f64::total_cmp);
+        let median = times[times.len() / 2];
+        println!(
+            "{name}: {:.2} M rays/s, {:.1} ns each (median of {})",
+            rays as f64 / median / 1e6,
+            median / rays as f64 * 1e9,
+            times.len()
+        );
+    }
 }
