@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use clap::Args;
 use enf_building::{Kind, Request};
+use enf_grid::GridArgs;
 use enf_kdtree::KdtreeArgs;
 use enf_partition::PartitionArgs;
 use enf_render::RenderArgs;
@@ -19,6 +20,8 @@ use crate::{building, summary};
 pub(crate) struct StageArgs {
     #[command(flatten)]
     pub(crate) partition: PartitionArgs,
+    #[command(flatten)]
+    pub(crate) grid: GridArgs,
     #[command(flatten)]
     pub(crate) trace: TraceArgs,
     #[command(flatten)]
@@ -122,6 +125,7 @@ fn everything(scene: &Path, output: &Path, args: &StageArgs) -> Result<()> {
         &enf_grid::Cli {
             store: store.clone(),
             all_rooms,
+            grid: args.grid.clone(),
             force: args.force,
             common: quiet_stage.clone(),
         },

@@ -62,9 +62,14 @@ pub fn nearest_by_force(
 }
 
 impl<'m> Query<'m> {
-    pub(crate) fn new(mesh: &'m TileMesh<'m>, t_min: f32, t_max: f32, exclude: u32, delta: f32) -> Self {
+    pub(crate) fn new(
+        mesh: &'m TileMesh<'m>,
+        t_min: f32,
+        t_max: f32,
+        exclude: u32,
+        delta: f32,
+    ) -> Self {
         let best = Hit { t: t_max, triangle: 0, global: 0, u: 0.0, v: 0.0 };
         Self { mesh, exclude, delta, t_min, best, found: false }
     }
 }
-

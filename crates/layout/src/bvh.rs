@@ -57,8 +57,8 @@ pub struct BvhNode {
     pub origin: [f32; 3],
     /// A step of the quantised coordinates along each axis is `2^(exponent - 127)` m.
     pub exponent: [u8; 3],
-    /// Zero.
-    pub reserved: u8,
+    /// Which of the children are something, a bit each.
+    pub used: u8,
     /// The first inner child.
     pub nodes: u32,
     /// The first reference of the leaves among the children.

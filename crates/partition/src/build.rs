@@ -1,6 +1,6 @@
 //! The stage itself: survey, rooms, luminaires, bins, tiles, tables.
 
-use enf_geometry::grid_bytes_estimate;
+use enf_geometry::structure_bytes_estimate;
 use enf_layout::NONE;
 use enf_layout::light::{EmitterRecord, LIGHT_AREA, LightRecord};
 use enf_layout::material::{MATERIAL_SEE_THROUGH, MaterialRecord};
@@ -127,7 +127,7 @@ pub(crate) fn build(
     let tree = budget.reserve(rooms.resident_bytes(), "cells of the partitioner")?;
 
     let per_triangle = MESH_BYTES_PER_TRIANGLE
-        + (grid_bytes_estimate(1 << 20) - grid_bytes_estimate(0)) / (1 << 20);
+        + (structure_bytes_estimate(1 << 20) - structure_bytes_estimate(0)) / (1 << 20);
     let limit = match (args.random_tiles, args.tile_triangles) {
         (Some(_), _) => u64::MAX,
         (None, Some(n)) => n.max(1),
@@ -190,7 +190,7 @@ pub(crate) fn build(
         tile.light_count = lights;
         first_light += lights;
         stored += triangles;
-        largest = largest.max(bytes + grid_bytes_estimate(triangles));
+        largest = largest.max(bytes + structure_bytes_estimate(triangles));
     }
     let record = SceneRecord {
         origin: scene.origin,

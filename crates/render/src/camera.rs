@@ -265,12 +265,12 @@ impl Finder<'_> {
                 }
             };
             let data = last.insert(data);
-            let (mesh, grid) = (data.mesh().map_err(store)?, data.grid().map_err(store)?);
+            let (mesh, structure) = (data.mesh().map_err(store)?, data.structure().map_err(store)?);
             let resident = Resident {
                 tile,
                 bsp: self.bsp,
                 mesh: &mesh,
-                grid: &grid,
+                structure: &structure,
                 materials: self.tables.materials(),
                 delta: self.tables.scene.delta,
             };

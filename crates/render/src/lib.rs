@@ -20,7 +20,7 @@ use enf_layout::film::PixelRecord;
 use enf_layout::journal::LightPairRecord;
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_layout::transit::TransitRecord;
-use enf_stage::resident::{TileCache, TileData, TileReader};
+use enf_stage::resident::{STRUCTURES, TileCache, TileData, TileReader};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
@@ -130,11 +130,11 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let budget = session.budget.clone();
     let tables = Tables::open(&store, &budget)?;
     session::rooms_of(&selection, tables.rooms().len())?;
-    let grid = session::complete(&store, StageKind::Grid, &tables, ExtentKind::Grid, |room| {
+    let grid = session::complete(&store, StageKind::Grid, &tables, &STRUCTURES, |room| {
         session::tiles_of(&tables, room)
     })?;
     let trace = StageReader::open(&store, StageKind::Trace)?;
-    let maps = session::complete(&store, StageKind::Kdtree, &tables, ExtentKind::Map, |room| {
+    let maps = session::complete(&store, StageKind::Kdtree, &tables, &[ExtentKind::Map], |room| {
         room..room + 1
     })?;
     let reader = TileReader { partition: &tables.partition, grid: &grid, budget: &budget };

@@ -145,7 +145,7 @@ impl Context<'_> {
     }
 
     pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
-        let (mesh, grid) = (job.tile.mesh()?, job.tile.grid()?);
+        let (mesh, structure) = (job.tile.mesh()?, job.tile.structure()?);
         let room = self.tables.tiles()[job.tile.tile as usize].room;
         let shader = Shader {
             context: self,
@@ -153,7 +153,7 @@ impl Context<'_> {
                 tile: job.tile.tile,
                 bsp: &self.bsp,
                 mesh: &mesh,
-                grid: &grid,
+                structure: &structure,
                 materials: self.tables.materials(),
                 delta: self.tables.scene.delta,
             },

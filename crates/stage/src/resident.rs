@@ -5,20 +5,24 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use enf_geometry::{GridView, TileMesh};
+use enf_geometry::{Structure, StructureKind, TileMesh};
 use enf_layout::sections::Malformed;
 use enf_layout::segment::ExtentKind;
-use enf_store::{Buffer, MemoryBudget, StageReader, StoreError};
+use enf_store::{Buffer, Extent, MemoryBudget, StageReader, StoreError};
 
 use crate::failure::{Failure, Result};
 use crate::timeline::Timeline;
 
-/// One tile's mesh and grid, inflated, checked once.
+/// The kinds of extents that hold the structure of a tile; each tile has one of them.
+pub const STRUCTURES: [ExtentKind; 2] = [ExtentKind::Bvh, ExtentKind::Grid];
+
+/// One tile's mesh and structure, inflated, checked once.
 pub struct TileData {
     /// Tile id.
     pub tile: u32,
     mesh: Buffer,
-    grid: Buffer,
+    kind: StructureKind,
+    structure: Buffer,
 }
 
 impl TileData {
@@ -30,17 +34,17 @@ impl TileData {
         TileMesh::from_checked_blob(&self.mesh)
     }
 
-    /// The grid.
+    /// The structure that keeps rays from most of the mesh.
     ///
     /// # Errors
     /// When the blob is malformed; it was checked when it was loaded.
-    pub fn grid(&self) -> std::result::Result<GridView<'_>, Malformed> {
-        GridView::from_checked_blob(&self.grid)
+    pub fn structure(&self) -> std::result::Result<Structure<'_>, Malformed> {
+        Structure::from_checked_blob(self.kind, &self.structure)
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        (self.mesh.len() + self.grid.len()) as u64
+        (self.mesh.len() + self.structure.len()) as u64
     }
 }
 
@@ -55,13 +59,20 @@ pub struct TileReader<'a> {
 }
 
 impl TileReader<'_> {
+    fn structure(&self, tile: u32) -> std::result::Result<(StructureKind, &Extent), StoreError> {
+        if self.grid.find(ExtentKind::Bvh, tile).is_empty() {
+            return Ok((StructureKind::Grid, self.grid.single(ExtentKind::Grid, tile)?));
+        }
+        Ok((StructureKind::Bvh, self.grid.single(ExtentKind::Bvh, tile)?))
+    }
+
     /// Bytes that the tile needs when it is resident.
     ///
     /// # Errors
     /// When the store does not have it.
     pub fn bytes(&self, tile: u32) -> Result<u64> {
         Ok(self.partition.single(ExtentKind::Geometry, tile)?.raw_bytes
-            + self.grid.single(ExtentKind::Grid, tile)?.raw_bytes)
+            + self.structure(tile)?.1.raw_bytes)
     }
 
     /// Reads, verifies and inflates a tile.
@@ -71,11 +82,11 @@ impl TileReader<'_> {
     pub fn load(&self, tile: u32) -> std::result::Result<TileData, StoreError> {
         let geometry = self.partition.single(ExtentKind::Geometry, tile)?;
         let mesh = self.partition.read(geometry, self.budget, "mesh of a tile")?;
-        let extent = self.grid.single(ExtentKind::Grid, tile)?;
-        let grid = self.grid.read(extent, self.budget, "grid of a tile")?;
+        let (kind, extent) = self.structure(tile)?;
+        let structure = self.grid.read(extent, self.budget, "structure of a tile")?;
         let triangles = TileMesh::from_blob(&mesh)?.len();
-        GridView::from_blob(&grid, triangles)?;
-        Ok(TileData { tile, mesh, grid })
+        Structure::from_blob(kind, &structure, triangles)?;
+        Ok(TileData { tile, mesh, kind, structure })
     }
 }
 

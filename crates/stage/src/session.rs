@@ -224,7 +224,7 @@ pub fn inherit(store: &StoreDir, from: StageKind) -> Result<Identity> {
     Ok(identity)
 }
 
-/// Opens the stage before, which must have done every room: an extent of `kind` for each of the ids that `of` gives
+/// Opens the stage before, which must have done every room: an extent of one of `kinds` for each of the ids that `of` gives
 /// to a room.
 ///
 /// # Errors
@@ -233,14 +233,16 @@ pub fn complete(
     store: &StoreDir,
     stage: StageKind,
     tables: &Tables,
-    kind: ExtentKind,
+    kinds: &[ExtentKind],
     of: impl Fn(u32) -> Range<u32>,
 ) -> Result<StageReader> {
     let name = stage.name();
     match StageReader::open(store, stage) {
         Err(StoreError::Unfinished { .. }) => {
             let reader = StageReader::open_unsealed(store, stage)?;
-            let lacks = |room: &u32| of(*room).any(|id| reader.find(kind, id).is_empty());
+            let lacks = |room: &u32| {
+                of(*room).any(|id| kinds.iter().all(|&kind| reader.find(kind, id).is_empty()))
+            };
             let path = store.path().display();
             let lacking = (0..tables.rooms().len() as u32).find(lacks);
             Err(Failure::input(match lacking {

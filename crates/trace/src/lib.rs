@@ -16,9 +16,9 @@ use std::time::Duration;
 use clap::Args;
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use enf_layout::photon::PhotonRecord;
-use enf_layout::segment::{ExtentKind, StageKind};
+use enf_layout::segment::StageKind;
 use enf_layout::transit::TransitRecord;
-use enf_stage::resident::{TileCache, TileData, TileReader};
+use enf_stage::resident::{STRUCTURES, TileCache, TileData, TileReader};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
@@ -144,7 +144,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     let mut session = Session::open(common)?;
     let tables = Tables::open(&store, &session.budget)?;
     session::rooms_of(&selection, tables.rooms().len())?;
-    let grid = session::complete(&store, StageKind::Grid, &tables, ExtentKind::Grid, |room| {
+    let grid = session::complete(&store, StageKind::Grid, &tables, &STRUCTURES, |room| {
         session::tiles_of(&tables, room)
     })?;
     if tables.lights().is_empty() {

@@ -193,12 +193,12 @@ pub(crate) struct Context<'a> {
 impl Context<'_> {
     /// Runs one job.
     pub(crate) fn run(&self, job: &Job) -> Result<Products, Malformed> {
-        let (mesh, grid) = (job.tile.mesh()?, job.tile.grid()?);
+        let (mesh, structure) = (job.tile.mesh()?, job.tile.structure()?);
         let tile = Resident {
             tile: job.tile.tile,
             bsp: &self.bsp,
             mesh: &mesh,
-            grid: &grid,
+            structure: &structure,
             materials: self.tables.materials(),
             delta: self.tables.scene.delta,
         };

@@ -1,6 +1,6 @@
 //! A ray's flight through one resident tile: leaf by leaf, until it hits something or leaves the tile.
 
-use enf_geometry::{GridView, Hit, PreparedRay, Ray, TileMesh};
+use enf_geometry::{Hit, PreparedRay, Ray, Structure, TileMesh};
 use enf_layout::material::MaterialRecord;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::Bsp;
@@ -17,8 +17,8 @@ pub struct Resident<'a> {
     pub bsp: &'a Bsp<'a>,
     /// The tile's triangles.
     pub mesh: &'a TileMesh<'a>,
-    /// The tile's grid.
-    pub grid: &'a GridView<'a>,
+    /// What keeps most of them apart from a ray.
+    pub structure: &'a Structure<'a>,
     /// All materials of the scene.
     pub materials: &'a [MaterialRecord],
     /// The scene's tolerance, m.
@@ -84,8 +84,14 @@ pub fn fly(
 ) -> Flight {
     let origin: DVec3 = Vec3::from(record.origin).as_dvec3();
     let direction = Vec3::from(record.direction).as_dvec3();
-    let hit =
-        tile.grid.nearest(tile.mesh, prepared, record.t, end, record.last_triangle, tile.delta);
+    let hit = tile.structure.nearest(
+        tile.mesh,
+        prepared,
+        record.t,
+        end,
+        record.last_triangle,
+        tile.delta,
+    );
     let reach = hit.map_or(f32::INFINITY, |h| h.t);
     let (mut leaf, mut t) = (record.leaf, record.t);
     loop {

@@ -1,7 +1,9 @@
 //! A ray's flight across tiles against brute force: whatever the rooms and tiles, the first hit is the nearest of
 //! all triangles of the scene, to the bit, slivers and grazing rays included.
 
-use enf_geometry::{GridView, PreparedRay, Ray, TileMesh, build_grid, nearest_by_force};
+use enf_geometry::{
+    PreparedRay, Ray, Structure, StructureKind, TileMesh, build_bvh, build_grid, nearest_by_force,
+};
 use enf_layout::NONE;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::{Bsp, Options, RoomCount, Tables, TileLimit, partition};
@@ -67,7 +69,7 @@ fn scene(seed: u32) -> (Vec<Triangle>, Dice) {
 /// A scene cut into tiles, each with its mesh and grid.
 struct Cut {
     tables: Tables,
-    tiles: Vec<(Vec<u8>, Vec<u8>)>,
+    tiles: Vec<(Vec<u8>, StructureKind, Vec<u8>)>,
     delta: f32,
 }
 
@@ -90,8 +92,14 @@ fn cut(triangles: &[Triangle], rooms: RoomCount, limit: TileLimit) -> Cut {
             let mesh = TileMesh::build_blob(
                 tables.tile_triangles[list].iter().map(|&g| (g, 0, triangles[g as usize])),
             );
-            let grid = build_grid(&TileMesh::from_blob(&mesh).expect("a mesh"), delta);
-            (mesh, grid)
+            // Every other tile has the other structure: to a ray they are the same.
+            let view = TileMesh::from_blob(&mesh).expect("a mesh");
+            let (kind, blob) = if tile % 2 == 0 {
+                (StructureKind::Bvh, build_bvh(&view, delta))
+            } else {
+                (StructureKind::Grid, build_grid(&view, delta))
+            };
+            (mesh, kind, blob)
         })
         .collect();
     Cut { tables, tiles, delta }
@@ -112,14 +120,14 @@ fn first_hit(cut: &Cut, ray: &Ray) -> Option<(u32, u32)> {
     let prepared = prepare(&record);
     for _ in 0..10_000 {
         let tile = bsp.leaves[record.leaf as usize].tile;
-        let (mesh, grid) = &cut.tiles[tile as usize];
+        let (mesh, kind, blob) = &cut.tiles[tile as usize];
         let mesh = TileMesh::from_blob(mesh).expect("a mesh");
-        let grid = GridView::from_blob(grid, mesh.len()).expect("a grid");
+        let structure = Structure::from_blob(*kind, blob, mesh.len()).expect("a structure");
         let resident = Resident {
             tile,
             bsp: &bsp,
             mesh: &mesh,
-            grid: &grid,
+            structure: &structure,
             materials: &[],
             delta: cut.delta,
         };

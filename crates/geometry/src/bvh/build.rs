@@ -1,9 +1,7 @@
 //! Building by the surface area heuristic in bins (Wald 2007, *On fast construction of SAH-based bounding
 //! volume hierarchies*), then eight children to a node by opening the largest (Wald, Benthin and Boulos 2008).
 
-use enf_layout::bvh::{
-    BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, WIDTH,
-};
+use enf_layout::bvh::{BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, WIDTH};
 use enf_layout::sections::{self, Transform};
 use glam::Vec3;
 use zerocopy::IntoBytes;
@@ -21,8 +19,9 @@ const STEEP: u32 = 30;
 
 /// Upper bound of the bytes of the blob for a mesh of so many triangles.
 pub fn bvh_bytes_estimate(triangles: u64) -> u64 {
-    // Every node but the root has at least two children, and every leaf at least one triangle.
-    let nodes = triangles.max(1);
+    // A node with an inner child has eight children, one without holds at least two triangles: of n triangles come
+    // 4 n / 7 nodes at most.
+    let nodes = triangles * 4 / 7 + 2;
     sections::blob_bytes(&[
         size_of::<BvhHeader>(),
         nodes as usize * size_of::<BvhNode>(),
@@ -62,6 +61,7 @@ fn area(min: Vec3, max: Vec3) -> f32 {
 
 /// Builds the hierarchy of a mesh for tolerance `delta`. The blob depends on the arguments alone.
 pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
+    let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
     let mut items: Vec<Item> = (0..mesh.len())
         .map(|triangle| {
             let [a, b, c] = mesh.corners(triangle);
@@ -79,15 +79,12 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     };
     wide.collapse();
     let bounds = mesh.bounds();
-    let grown = |p: f32, out: f64| {
-        let p = f64::from(p) + out;
-        if p.is_finite() { p as f32 } else { 0.0 }
-    };
+    let grown = |p: f32, out: f64| ((f64::from(p) + out) as f32).clamp(f32::MIN, f32::MAX);
     let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
     let (min, max) = if mesh.is_empty() { ([0.0; 3], [0.0; 3]) } else { (min, max) };
     let header = BvhHeader {
-        min: min.map(|p| grown(p, -wide.grown).next_down()),
-        max: max.map(|p| grown(p, wide.grown).next_up()),
+        min: min.map(|p| grown(p.next_down(), -wide.grown)),
+        max: max.map(|p| grown(p.next_up(), wide.grown)),
         delta,
         triangles: mesh.len(),
     };
@@ -108,7 +105,7 @@ struct Job {
 
 /// Sorts the items into a binary tree.
 fn divide(items: &mut [Item]) -> Vec<Binary> {
-    let mut nodes: Vec<Binary> = Vec::with_capacity(items.len().max(1));
+    let mut nodes: Vec<Binary> = Vec::with_capacity(2 * items.len() + 1);
     let mut stack = vec![Job { second_of: None, from: 0, to: items.len(), depth: 0 }];
     while let Some(job) = stack.pop() {
         let at = nodes.len() as u32;
@@ -260,7 +257,7 @@ struct Wide<'a> {
 const NOTHING: BvhNode = BvhNode {
     origin: [0.0; 3],
     exponent: [127; 3],
-    reserved: 0,
+    used: 0,
     nodes: 0,
     references: 0,
     child: [CHILD_NONE; WIDTH],
@@ -343,6 +340,7 @@ impl Wide<'_> {
         let mut first = 0;
         for (i, &child) in children.iter().enumerate() {
             let b = self.binary[child as usize];
+            node.used |= 1 << i;
             if b.count == 0 {
                 node.child[i] = CHILD_INNER | inner;
                 inner += 1;

@@ -83,7 +83,10 @@ impl<'a> BvhView<'a> {
                 return Err(format!("hierarchy node {i} has no frame"));
             }
             let mut inner = 0;
-            for child in node.child {
+            for (slot, child) in node.child.into_iter().enumerate() {
+                if (node.used >> slot & 1 == 0) != (child == CHILD_NONE) {
+                    return Err(format!("hierarchy node {i} is not sure about child {slot}"));
+                }
                 if child == CHILD_NONE {
                     continue;
                 }

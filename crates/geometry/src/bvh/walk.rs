@@ -133,6 +133,8 @@ impl<L: Lanes> Walk<'_, '_, L> {
             } else {
                 let node = &bvh.nodes[at.what as usize];
                 let (mut mask, enter) = lanes.enter(node, &slabs, query.t_min, query.best.t);
+                // What is nothing has no box to miss where nothing can be computed.
+                mask &= u32::from(node.used);
                 let entry = |i: usize| {
                     let child = u32::from(node.child[i]);
                     let what = if child & u32::from(CHILD_INNER) != 0 {

@@ -1,14 +1,17 @@
-//! The grid against testing every triangle, to the bit.
+//! Grid and hierarchy against testing every triangle, to the bit.
 
 mod common;
 
 use common::{Corners, Random, blob, delta};
 use enf_geometry::{
-    GridView, NONE, PreparedRay, Ray, TileMesh, build_grid, grid_bytes_estimate, nearest_by_force,
+    BvhView, GridView, NONE, PreparedRay, Ray, Structure, StructureKind, TileMesh, build_bvh,
+    build_grid, bvh_bytes_estimate, grid_bytes_estimate, nearest_by_force,
 };
 use enf_layout::codec;
 use glam::Vec3;
 use proptest::prelude::*;
+
+const KINDS: [StructureKind; 2] = [StructureKind::Grid, StructureKind::Bvh];
 
 fn compare(
     triangles: &[Corners],
@@ -22,6 +25,9 @@ fn compare(
     let grid_blob = build_grid(&mesh, delta);
     assert!(grid_blob.len() as u64 <= grid_bytes_estimate(triangles.len() as u64));
     let grid = GridView::from_blob(&grid_blob, mesh.len()).unwrap();
+    let bvh_blob = build_bvh(&mesh, delta);
+    assert!(bvh_blob.len() as u64 <= bvh_bytes_estimate(triangles.len() as u64));
+    let bvh = BvhView::from_blob(&bvh_blob, mesh.len()).unwrap();
     let mut hits = 0;
     for ray in rays {
         let prepared = PreparedRay::new(&ray);
@@ -31,6 +37,10 @@ fn compare(
             let truth = nearest_by_force(&mesh, &prepared, from, to, exclude, delta);
             let found = grid.nearest(&mesh, &prepared, from, to, exclude, delta);
             assert_eq!(found, truth, "{ray:?} in [{from}, {to}) without {exclude}");
+            let by_bvh = bvh.nearest(&mesh, &prepared, from, to, exclude, delta);
+            assert_eq!(by_bvh, truth, "{ray:?} in [{from}, {to}) without {exclude}");
+            let portable = bvh.nearest_portable(&mesh, &prepared, from, to, exclude, delta);
+            assert_eq!(portable, truth, "{ray:?} in [{from}, {to}) without {exclude}");
             match found {
                 Some(hit) => {
                     hits += 1;
@@ -120,16 +130,18 @@ fn ties_go_to_the_smaller_global_index() {
     let mesh_blob = blob(&[turned, wall, wall, turned]);
     let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
     let delta = delta(4.0);
-    let grid_blob = build_grid(&mesh, delta);
-    let grid = GridView::from_blob(&grid_blob, 4).unwrap();
     let ray = Ray { origin: Vec3::new(1.0, 1.0, 2.0), direction: Vec3::NEG_Z };
     let ray = PreparedRay::new(&ray);
-    let nearest = |exclude| grid.nearest(&mesh, &ray, 0.0, 9.0, exclude, delta).unwrap();
-    assert_eq!((nearest(NONE).global, nearest(NONE).t), (1, 2.0));
-    assert_eq!(nearest(1).global, 4);
-    // The interval is half open.
-    assert!(grid.nearest(&mesh, &ray, 0.0, 2.0, NONE, delta).is_none());
-    assert!(grid.nearest(&mesh, &ray, 2.0, 9.0, NONE, delta).is_some());
+    for kind in KINDS {
+        let blob = kind.build(&mesh, delta);
+        let structure = Structure::from_blob(kind, &blob, 4).unwrap();
+        let nearest = |exclude| structure.nearest(&mesh, &ray, 0.0, 9.0, exclude, delta).unwrap();
+        assert_eq!((nearest(NONE).global, nearest(NONE).t), (1, 2.0));
+        assert_eq!(nearest(1).global, 4);
+        // The interval is half open.
+        assert!(structure.nearest(&mesh, &ray, 0.0, 2.0, NONE, delta).is_none());
+        assert!(structure.nearest(&mesh, &ray, 2.0, 9.0, NONE, delta).is_some());
+    }
 }
 
 #[test]
@@ -148,8 +160,9 @@ fn odd_rays_and_meshes_are_harmless() {
     for mesh_blob in &meshes {
         let mesh = TileMesh::from_blob(mesh_blob).unwrap();
         for delta in [0.0, 1e-4, f32::NAN, f32::MAX] {
-            let grid_blob = build_grid(&mesh, delta);
-            let grid = GridView::from_blob(&grid_blob, mesh.len()).unwrap();
+            let blobs = KINDS.map(|kind| kind.build(&mesh, delta));
+            let [grid, bvh] =
+                [0, 1].map(|k| Structure::from_blob(KINDS[k], &blobs[k], mesh.len()).unwrap());
             for i in 0..512 {
                 let pick = |k: usize| x[(i >> (3 * k)) & 7];
                 let d = Vec3::new(pick(0), pick(1), pick(2));
@@ -159,10 +172,9 @@ fn odd_rays_and_meshes_are_harmless() {
                     for (from, to) in
                         [(0.0, 1.0), (f32::NEG_INFINITY, f32::INFINITY), (f32::NAN, f32::NAN)]
                     {
-                        assert_eq!(
-                            grid.nearest(&mesh, &ray, from, to, NONE, delta),
-                            nearest_by_force(&mesh, &ray, from, to, NONE, delta)
-                        );
+                        let truth = nearest_by_force(&mesh, &ray, from, to, NONE, delta);
+                        assert_eq!(grid.nearest(&mesh, &ray, from, to, NONE, delta), truth);
+                        assert_eq!(bvh.nearest(&mesh, &ray, from, to, NONE, delta), truth);
                     }
                 }
             }
@@ -171,30 +183,32 @@ fn odd_rays_and_meshes_are_harmless() {
     assert!(empty.is_empty());
 }
 
-/// Every byte of a grid's blob, flipped: rejected, or walked without leaving it.
+/// Every byte of a blob, flipped: rejected, or walked without leaving it.
 #[test]
-fn a_corrupt_grid_is_rejected_or_harmless() {
+fn a_corrupt_structure_is_rejected_or_harmless() {
     let mut random = Random(21);
     let triangles = common::zoo(&mut random, 12, 4.0);
     let mesh_blob = blob(&triangles);
     let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
-    let good = build_grid(&mesh, delta(4.0));
     let rays: Vec<_> =
         (0..8).map(|_| PreparedRay::new(&common::ray(&mut random, &triangles, 4.0))).collect();
-    for at in 0..good.len() {
-        let mut bad = good.clone();
-        bad[at] ^= 1 << random.below(8);
-        if let Ok(grid) = GridView::from_blob(&bad, mesh.len()) {
-            for ray in &rays {
-                grid.nearest(&mesh, ray, 0.0, f32::INFINITY, NONE, delta(4.0));
+    for kind in KINDS {
+        let good = kind.build(&mesh, delta(4.0));
+        for at in 0..good.len() {
+            let mut bad = good.clone();
+            bad[at] ^= 1 << random.below(8);
+            if let Ok(structure) = Structure::from_blob(kind, &bad, mesh.len()) {
+                for ray in &rays {
+                    structure.nearest(&mesh, ray, 0.0, f32::INFINITY, NONE, delta(4.0));
+                }
             }
         }
+        // The last 63 bytes may be padding.
+        for length in 0..good.len() - 63 {
+            assert!(Structure::from_blob(kind, &good[..length], mesh.len()).is_err());
+        }
+        assert!(Structure::from_blob(kind, &good, mesh.len() + 1).is_err());
     }
-    // The last 63 bytes may be padding.
-    for length in 0..good.len() - 63 {
-        assert!(GridView::from_blob(&good[..length], mesh.len()).is_err());
-    }
-    assert!(GridView::from_blob(&good, mesh.len() + 1).is_err());
 }
 
 #[test]
@@ -214,7 +228,8 @@ fn blobs_survive_the_codec_and_do_not_depend_on_order() {
         assert_eq!(mesh.corners(i as u32), *t);
         assert_eq!((mesh.global[i], mesh.materials[i]), (3 * i as u32 + 1, i as u32 % 5));
     }
-    for original in [mesh_blob.clone(), build_grid(&mesh, delta(8.0))] {
+    let [grid, bvh] = KINDS.map(|kind| kind.build(&mesh, delta(8.0)));
+    for original in [mesh_blob.clone(), grid, bvh] {
         let mut coded = vec![0; original.len()];
         codec::forward(&original, &mut coded).unwrap();
         let mut scratch = vec![0; codec::scratch_bytes(&coded).unwrap()];
