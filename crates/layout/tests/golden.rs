@@ -15,6 +15,7 @@ use enf_layout::bsp::{
     FACE_IN_FRONT, FaceRecord, LEAF, LEAF_OUTSIDE, LEAF_SOLID, LeafRecord, NodeRecord, PlaneRecord,
 };
 use enf_layout::film::PixelRecord;
+use enf_layout::bvh::{BvhHeader, BvhNode};
 use enf_layout::grid::{BrickRecord, GridHeader};
 use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
@@ -228,6 +229,23 @@ fn records() -> Vec<Golden> {
             references: 2000,
         }
         BrickRecord { mask: [0x0000_ffff, 0x8000_0000], first: 17 }
+        BvhHeader { min: [-1.0, -2.0, -3.0], max: [1.0, 2.0, 3.0], delta: 1.0 / 8192.0, triangles: 9 }
+        BvhNode {
+            origin: [-1.0, -2.0, -3.0],
+            exponent: [120, 121, 122],
+            used: 0b111,
+            nodes: 1,
+            references: 5,
+            child: [0x80, 0x81, 0x60, 0xff, 0xff, 0xff, 0xff, 0xff],
+            bounds: [
+                [0, 10, 20, 255, 255, 255, 255, 255],
+                [1, 11, 21, 255, 255, 255, 255, 255],
+                [2, 12, 22, 255, 255, 255, 255, 255],
+                [100, 110, 120, 0, 0, 0, 0, 0],
+                [101, 111, 121, 0, 0, 0, 0, 0],
+                [102, 112, 122, 0, 0, 0, 0, 0],
+            ],
+        }
         PhotonRecord {
             position_bits: [1.0f32.to_bits(), 2.0f32.to_bits(), 3.0f32.to_bits()],
             flux: rgbe::encode([0.5, 0.25, 0.125], [0.0; 3]),
