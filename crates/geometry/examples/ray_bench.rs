@@ -8,6 +8,7 @@ use std::time::Instant;
 use enf_geometry::{
     BvhView, GridView, NONE, PreparedRay, Ray, TileMesh, build_bvh, build_grid, grid_bytes_estimate,
 };
+use enf_layout::codec;
 use glam::Vec3;
 
 struct Random(u64);
@@ -119,6 +120,18 @@ fn main() {
         bvh_blob.len() as f64 / mesh.len() as f64,
         bvh.node_count(),
         start.elapsed()
+    );
+
+    let stored = |blob: &[u8]| {
+        let mut coded = vec![0; blob.len()];
+        codec::forward(blob, &mut coded).expect("a blob that was just built");
+        zstd::bulk::compress(&coded, 3).expect("zstd").len() as f64 / mesh.len() as f64
+    };
+    println!(
+        "on disk, bytes a triangle: mesh {:.2}, grid {:.2}, hierarchy {:.2}",
+        stored(&blob),
+        stored(&grid_blob),
+        stored(&bvh_blob)
     );
 
     // Walks of photons, written down.

@@ -13,7 +13,7 @@ const GROWN: f64 = 4.0;
 /// Bins along each axis.
 const BINS: usize = 16;
 /// Cost of a node's test for one child, in triangle tests.
-const NODE_COST: f32 = 0.6;
+const NODE_COST: f32 = 1.5;
 /// Deeper than this (binary levels), halves are cut by count, which ends soon.
 const STEEP: u32 = 30;
 
