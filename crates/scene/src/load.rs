@@ -8,7 +8,8 @@ use crate::{
     lights, materials,
     mtl::{self, Spec},
     obj::{self, Mesh},
-    stream::{Geometry, Skipped, Use},
+    shape::{Lookup, Part, Position},
+    stream::{Geometry, Glowing, MARK_EVERY, Scratch, Skipped, Use},
     views,
 };
 use enf_layout::{
@@ -17,7 +18,7 @@ use enf_layout::{
 };
 use glam::{DVec3, Vec3};
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     path::{Path, PathBuf},
 };
 use toml::Spanned;
@@ -52,7 +53,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
         from_toml(path, options)
     } else if kind.ends_with(".obj") || kind.ends_with(".obj.zst") {
         let mut loader = Loader::default();
-        let mesh = loader.mesh(path)?;
+        let mesh = loader.mesh(path, options)?;
         loader.uses.push(Placing {
             mesh,
             name: stem(path),
@@ -114,18 +115,26 @@ struct Loader {
 
 impl Loader {
     /// Reads a mesh and its MTL files, once.
-    fn mesh(&mut self, path: &Path) -> Result<usize, SceneError> {
+    fn mesh(&mut self, path: &Path, options: &LoadOptions) -> Result<usize, SceneError> {
         let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
         if let Some(&mesh) = self.by_path.get(&key) {
             return Ok(mesh);
         }
-        let (mut mesh, input) = obj::read(path)?;
+        let (mut mesh, input) = obj::read(path, options)?;
         self.inputs.push(input);
         self.warnings.append(&mut mesh.warnings);
         let mut libraries = Vec::new();
         for (library, line) in &mesh.libraries {
             let found = find_libraries(path, library);
             if found.is_empty() {
+                if options.strict {
+                    return Err(SceneError::line(
+                        path,
+                        *line,
+                        format!("the material library \"{library}\" is missing"),
+                        "put it beside the OBJ file, or do without --strict",
+                    ));
+                }
                 self.warnings.push(format!(
                     "{}:{line}: the material library \"{library}\" is missing; put it beside the \
                      OBJ file",
@@ -211,7 +220,7 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
                 "file names are relative to the scene file",
             ));
         }
-        let mesh = loader.mesh(&file)?;
+        let mesh = loader.mesh(&file, options)?;
         let from_file = match &table.instances_file {
             Some(_) if table.instances.is_some() => {
                 return Err(parsed.error(
@@ -313,6 +322,7 @@ impl Loader {
         &mut self,
         path: &Path,
         parsed: Option<&Parsed<SceneFile>>,
+        strict: bool,
     ) -> Result<(Table, Vec<Vec<u32>>), SceneError> {
         let mut overrides: BTreeMap<&str, &Spanned<MaterialTable>> = BTreeMap::new();
         for at in parsed.iter().flat_map(|p| &p.value.material) {
@@ -364,6 +374,14 @@ impl Loader {
             per_use.push(ids);
         }
         for (mesh, names) in missing {
+            if strict {
+                return Err(SceneError::whole(
+                    &self.meshes[mesh].file,
+                    format!("no definition of material {}", some_names(&names)),
+                    "add it to the MTL file, or as a [[material]] to a scene file, or do without \
+                     --strict",
+                ));
+            }
             self.warnings.push(format!(
                 "{}: no definition of material {}; grey {} is used: add it to the MTL file, or as a \
                  [[material]] to a scene file",
@@ -373,6 +391,14 @@ impl Loader {
             ));
         }
         for mesh in bare {
+            if strict {
+                return Err(SceneError::whole(
+                    &self.meshes[mesh].file,
+                    "some faces have no material (usemtl)",
+                    "give them one, or define \"unnamed\" as a [[material]] of a scene file, or do \
+                     without --strict",
+                ));
+            }
             self.warnings.push(format!(
                 "{}: some faces have no material (usemtl); grey {} is used",
                 self.meshes[mesh].file.display(),
@@ -424,8 +450,8 @@ impl Loader {
         options: &LoadOptions,
         parsed: Option<&Parsed<SceneFile>>,
     ) -> Result<Scene, SceneError> {
-        let (mut table, per_use) = self.resolve(path, parsed)?;
-        self.split_components(&table, &per_use);
+        let (mut table, per_use) = self.resolve(path, parsed, options.strict)?;
+        self.split_components(&table, &per_use)?;
 
         let mut uses = Vec::with_capacity(self.uses.len());
         let mut objects = 0u64;
@@ -439,6 +465,8 @@ impl Loader {
                 first_object: objects as u32,
                 materials,
                 first: Vec::new(),
+                marks: Vec::new(),
+                glowing: Vec::new(),
             };
             objects += used.objects(&self.meshes) as u64;
             if objects >= u64::from(NONE) {
@@ -471,12 +499,31 @@ impl Loader {
                 object_name(&geometry, object)
             ));
         }
-        if let Some(object) = measured.first_not_finite {
+        if let Some((object, at)) = measured.first_not_finite {
+            if options.strict {
+                let what = format!(
+                    "a face of \"{}\" uses vertex {}, which is not finite",
+                    object_name(&geometry, object),
+                    u64::from(at.vertex) + 1
+                );
+                let remedy = "correct the vertex, or do without --strict";
+                return Err(match at.line {
+                    Some(line) => SceneError::line(&at.file, line, what, remedy),
+                    None => SceneError::whole(&at.file, what, remedy),
+                });
+            }
             warnings.push(format!(
                 "{}: {} triangles with vertices that are not finite are left out (first in \"{}\")",
                 path.display(),
                 measured.not_finite,
                 object_name(&geometry, object)
+            ));
+        }
+        if measured.twice > 0 {
+            warnings.push(format!(
+                "{}: {} emitting faces are there twice; the second does not emit",
+                path.display(),
+                measured.twice
             ));
         }
         let dark = measured.areas.values().filter(|&&a| a == 0.0).count();
@@ -498,6 +545,7 @@ impl Loader {
                 path.display()
             ));
         }
+        let doors = door_objects(&geometry)?;
         let copies = lights::set_power(&mut table.materials, &table.power, &measured.areas, path)?;
         Ok(Scene {
             name,
@@ -514,12 +562,13 @@ impl Loader {
             skipped: measured.flat + measured.not_finite,
             copies,
             points,
+            doors,
         })
     }
 
     /// Faces outside every object: those that emit become one object for each connected component, so
     /// that each is a light of its own.
-    fn split_components(&mut self, table: &Table, per_use: &[Vec<u32>]) {
+    fn split_components(&mut self, table: &Table, per_use: &[Vec<u32>]) -> Result<(), SceneError> {
         for (m, mesh) in self.meshes.iter_mut().enumerate() {
             let Some(unnamed) = mesh.objects.iter().position(Option::is_none) else { continue };
             let emits = |local: u32| {
@@ -530,36 +579,51 @@ impl Loader {
             let emitting: Vec<u32> =
                 (0..mesh.materials.len() as u32).filter(|&l| emits(l)).collect();
             for local in emitting {
-                split(mesh, unnamed as u32, local);
+                split(mesh, unnamed as u32, local)?;
             }
         }
+        Ok(())
     }
 }
 
 /// Gives each connected component of a mesh's triangles of one object and material an object of its
 /// own. Vertices at one place are one vertex.
-fn split(mesh: &mut Mesh, object: u32, material: u32) {
-    let mut chosen = Vec::new();
-    let mut begin = 0;
-    for part in &mesh.parts {
+fn split(mesh: &mut Mesh, object: u32, material: u32) -> Result<(), SceneError> {
+    let Mesh { shape, objects, materials, .. } = mesh;
+    let mut lookup = Lookup::<Position>::default();
+    // The corners' places, triangle by triangle.
+    let mut corners: Vec<u32> = Vec::new();
+    for part in shape.parts() {
+        let (part, triangles) = part?;
         if (part.object, part.material) == (object, material) {
-            chosen.extend(begin..part.end);
+            for t in triangles {
+                corners.extend(lookup.triangle(shape, t)?);
+            }
         }
-        begin = part.end;
     }
-    let key = |v: u32| (mesh.positions[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
-    let mut vertices: Vec<u32> = chosen.iter().flat_map(|&t| mesh.triangles[t as usize]).collect();
-    vertices.sort_unstable_by_key(|&v| (key(v), v));
+    let mut vertices = corners.clone();
+    vertices.sort_unstable();
     vertices.dedup();
+    let mut keyed: Vec<([u64; 3], u32)> = Vec::with_capacity(vertices.len());
+    for &v in &vertices {
+        // One zero only.
+        keyed.push((lookup.vertex(shape, v, |p| p)?.map(|c| (c + 0.0).to_bits()), v));
+    }
+    keyed.sort_unstable();
     // Places: equal positions share a number.
-    let mut place_of: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut place_of = vec![0u32; vertices.len()];
     let mut places = 0u32;
-    for (i, &v) in vertices.iter().enumerate() {
-        if i > 0 && key(vertices[i - 1]) != key(v) {
+    for (i, (key, v)) in keyed.iter().enumerate() {
+        if i > 0 && keyed[i - 1].0 != *key {
             places += 1;
         }
-        place_of.insert(v, places);
+        place_of[vertices.partition_point(|w| w < v)] = places;
     }
+    drop(keyed);
+    for c in &mut corners {
+        *c = place_of[vertices.partition_point(|w| w < c)];
+    }
+    drop((vertices, place_of));
     let mut parent: Vec<u32> = (0..=places).collect();
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {
@@ -568,44 +632,64 @@ fn split(mesh: &mut Mesh, object: u32, material: u32) {
         }
         i
     }
-    for &t in &chosen {
-        let [a, b, c] = mesh.triangles[t as usize].map(|v| place_of[&v]);
-        for (p, q) in [(a, b), (b, c)] {
+    for t in corners.chunks_exact(3) {
+        for (p, q) in [(t[0], t[1]), (t[1], t[2])] {
             let (p, q) = (root(&mut parent, p), root(&mut parent, q));
             parent[p.max(q) as usize] = p.min(q);
         }
     }
-    let label = mesh.materials[material as usize].clone();
+    let label = materials[material as usize].clone();
     let label = label.as_deref().unwrap_or(UNNAMED).to_string();
     let mut component: BTreeMap<u32, u32> = BTreeMap::new();
-    let mut parts = Vec::with_capacity(mesh.parts.len());
-    let mut begin = 0;
-    for part in std::mem::take(&mut mesh.parts) {
+    let mut next = 0;
+    shape.rewrite_parts(|_, part, triangles, parts| {
         if (part.object, part.material) != (object, material) {
             parts.push(part);
-            begin = part.end;
-            continue;
+            return Ok(());
         }
-        for t in begin..part.end {
-            let at = root(&mut parent, place_of[&mesh.triangles[t as usize][0]]);
+        for t in triangles {
+            let at = root(&mut parent, corners[next]);
+            next += 3;
             let number = component.len() as u32 + 1;
             let own = *component.entry(at).or_insert_with(|| {
-                mesh.objects.push(Some(format!("{label} {number}")));
-                mesh.objects.len() as u32 - 1
+                objects.push(Some(format!("{label} {number}")));
+                objects.len() as u32 - 1
             });
             match parts.last_mut() {
-                Some(obj::Part { end, object, material, .. })
+                Some(Part { end, object, material, .. })
                     if (*object, *material, *end) == (own, part.material, t) =>
                 {
                     *end = t + 1;
                 }
-                _ => parts.push(obj::Part { end: t + 1, object: own, ..part }),
+                _ => parts.push(Part { end: t + 1, object: own, ..part }),
             }
         }
-        begin = part.end;
+        Ok(())
+    })
+}
+
+/// Objects recognised as doors, ascending.
+fn door_objects(geometry: &Geometry) -> Result<Vec<u32>, SceneError> {
+    let mut doors = Vec::new();
+    for used in &geometry.uses {
+        if used.door == Some(false) {
+            continue;
+        }
+        for part in geometry.meshes[used.mesh].shape.parts() {
+            let (part, _) = part?;
+            if used.is_door(&part) {
+                let instances = if used.whole { used.placements.len() } else { 1 };
+                doors.extend((0..instances).map(|i| used.object(i, &part)));
+                if used.whole {
+                    break;
+                }
+            }
+        }
     }
-    parts.shrink_to_fit();
-    mesh.parts = parts;
+    doors.sort_unstable();
+    doors.dedup();
+    doors.shrink_to_fit();
+    Ok(doors)
 }
 
 /// Name of an object: the OBJ file's, or the mesh's with the number of the instance.
@@ -652,19 +736,23 @@ fn scene_origin(geometry: &Geometry, path: &Path) -> Result<[f64; 3], SceneError
     }
     // The boxes are larger than what is in them: now exactly.
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let mut lookup = Lookup::<DVec3>::default();
     for used in &geometry.uses {
-        let mesh = &geometry.meshes[used.mesh];
+        let shape = &geometry.meshes[used.mesh].shape;
+        lookup.reset();
         for i in 0..used.placements.len() {
             let matrix = geometry.frame.matrix(used.placements.get(i));
-            for &v in mesh.triangles.iter().flatten() {
-                let p = matrix.world(mesh.positions[v as usize]);
-                if p.abs().max_element() <= f64::from(f32::MAX) {
-                    (lo, hi) = (lo.min(p), hi.max(p));
+            for t in 0..shape.triangles() as u32 {
+                for v in lookup.triangle(shape, t)? {
+                    let p = matrix.world(lookup.vertex(shape, v, DVec3::from_array)?);
+                    if p.abs().max_element() <= f64::from(f32::MAX) {
+                        (lo, hi) = (lo.min(p), hi.max(p));
+                    }
                 }
             }
         }
     }
-    if lo.abs().max(hi.abs()).max_element() <= FAR {
+    if lo.x > hi.x || lo.abs().max(hi.abs()).max_element() <= FAR {
         return Ok([0.0; 3]);
     }
     check_size((hi - lo).length(), path)?;
@@ -691,9 +779,32 @@ struct Measured {
     flat: u64,
     first_flat: Option<(u32, [f32; 3])>,
     not_finite: u64,
-    first_not_finite: Option<u32>,
+    first_not_finite: Option<(u32, BadVertex)>,
+    /// Emitting faces that an object's light already has.
+    twice: u64,
     /// Area of each (object, emitting material), m².
     areas: BTreeMap<(u32, u32), f64>,
+}
+
+/// A vertex that is not finite, and where it stands.
+struct BadVertex {
+    file: PathBuf,
+    vertex: u32,
+    line: Option<usize>,
+}
+
+/// The vertex of a triangle that is not finite: the first that the reader noted.
+fn bad_vertex(mesh: &Mesh, vertices: [u32; 3]) -> BadVertex {
+    let line_of = |v: u32| {
+        let at = mesh.not_finite.binary_search_by_key(&v, |n| n.0).ok()?;
+        Some(mesh.not_finite[at].1)
+    };
+    let known = vertices.into_iter().find_map(|v| Some((v, line_of(v)?)));
+    BadVertex {
+        file: mesh.file.clone(),
+        vertex: known.map_or(vertices[0], |k| k.0),
+        line: known.map(|k| k.1),
+    }
 }
 
 fn measure(
@@ -708,21 +819,44 @@ fn measure(
         first_flat: None,
         not_finite: 0,
         first_not_finite: None,
+        twice: 0,
         areas: BTreeMap::new(),
     };
     let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    let mut firsts = Vec::with_capacity(geometry.uses.len());
-    let mut scratch = Vec::new();
+    let mut noted = Vec::with_capacity(geometry.uses.len());
+    let mut scratch = Scratch::default();
+    let mut faces: HashSet<(u32, u32, u128)> = HashSet::new();
     for used in &geometry.uses {
+        let mesh = &geometry.meshes[used.mesh];
+        let spooled = geometry.is_spooled(used);
+        let marks_each =
+            (mesh.shape.triangles().saturating_sub(1) / u64::from(MARK_EVERY)) as usize;
         let mut first = Vec::with_capacity(used.placements.len());
+        let mut marks = Vec::with_capacity(used.placements.len() * marks_each);
+        let mut glowing = Vec::new();
         for i in 0..used.placements.len() {
             first.push(m.count as u32);
-            let placed = geometry.place(used, i, &mut scratch);
+            faces.clear();
+            let mut placed = geometry.place(used, i, &mut scratch);
             for run in geometry.runs(used, i) {
+                let run = run?;
                 let mut area = 0.0;
                 let emitting = emits(run.material);
+                if emitting && spooled {
+                    glowing.push(Glowing {
+                        instance: i as u32,
+                        object: run.object,
+                        material: run.material,
+                        begin: run.triangles.start,
+                        end: run.triangles.end,
+                        index: m.count as u32,
+                    });
+                }
                 for t in run.triangles {
-                    match placed.corners(t) {
+                    while t / MARK_EVERY > (marks.len() - i * marks_each) as u32 {
+                        marks.push(m.count as u32);
+                    }
+                    match placed.corners(t)? {
                         Ok(corners) => {
                             m.count += 1;
                             for p in corners {
@@ -730,18 +864,26 @@ fn measure(
                                 hi = hi.max(Vec3::from_array(p));
                             }
                             if emitting {
-                                area += lights::area(&corners);
+                                let key = lights::face_key(&corners);
+                                if faces.insert((run.object, run.material, key)) {
+                                    area += lights::area(&corners);
+                                } else {
+                                    m.twice += 1;
+                                }
                             }
                         }
                         Err(Skipped::Flat) => {
                             m.flat += 1;
                             if m.first_flat.is_none() {
-                                m.first_flat = Some((run.object, placed.corner(t)));
+                                m.first_flat = Some((run.object, placed.vertices(t)?.1));
                             }
                         }
                         Err(Skipped::NotFinite) => {
                             m.not_finite += 1;
-                            m.first_not_finite.get_or_insert(run.object);
+                            if m.first_not_finite.is_none() {
+                                let bad = bad_vertex(mesh, placed.vertices(t)?.0);
+                                m.first_not_finite = Some((run.object, bad));
+                            }
                         }
                     }
                 }
@@ -749,6 +891,7 @@ fn measure(
                     *m.areas.entry((run.object, run.material)).or_insert(0.0) += area;
                 }
             }
+            marks.resize((i + 1) * marks_each, m.count as u32);
             if m.count >= u64::from(NONE) {
                 return Err(SceneError::whole(
                     path,
@@ -757,11 +900,14 @@ fn measure(
                 ));
             }
         }
-        firsts.push(first);
+        noted.push((first, marks, glowing));
     }
     m.bounds = (lo.to_array(), hi.to_array());
-    for (used, first) in geometry.uses.iter_mut().zip(firsts) {
+    for (used, (first, marks, glowing)) in geometry.uses.iter_mut().zip(noted) {
         used.first = first;
+        used.marks = marks;
+        used.glowing = glowing;
+        used.glowing.shrink_to_fit();
     }
     if m.count == 0 {
         let what = match m.flat + m.not_finite {
