@@ -220,6 +220,16 @@ impl Lines {
     }
 }
 
+/// Reads a whole file through the hash without keeping it.
+pub(crate) fn hash_file(path: &Path) -> Result<InputFile, SceneError> {
+    let fail = |e| SceneError::read(path, e);
+    let file = File::open(path).map_err(fail)?;
+    let hashing = Hashing { file, hash: Box::new(Xxh3::new()) };
+    let mut hashing = BufReader::with_capacity(BLOCK, hashing);
+    io::copy(&mut hashing, &mut io::sink()).map_err(fail)?;
+    Ok(InputFile { path: path.into(), hash: hashing.into_inner().hash.digest128() })
+}
+
 /// Splits a line into its first word and the rest, both trimmed; `None` for blank lines and comments.
 pub(crate) fn keyword(line: &[u8]) -> Option<(&[u8], &[u8])> {
     let line = line.trim_ascii();
@@ -451,6 +461,7 @@ mod tests {
             assert_eq!(seen, [(1, 1), (2, length), (3, length + 3), (5, 0), (6, 4)]);
             let hash = xxhash_rust::xxh3::xxh3_128(&std::fs::read(&path).unwrap());
             assert_eq!(lines.finish().unwrap().hash, hash);
+            assert_eq!(hash_file(&path).unwrap().hash, hash);
         }
     }
 

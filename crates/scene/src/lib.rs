@@ -1,6 +1,6 @@
 //! A building goes in, triangles come out.
 //!
-//! In: an OBJ file with its MTL, the same compressed (`.obj.zst`), or a `scene.toml` that places
+//! In: an OBJ file with its MTL, the same compressed (`.obj.zst`), a glTF file, or a `scene.toml` that places
 //! meshes, completes materials and adds lights, cameras and names of rooms (its format is in this
 //! crate's README). Out: [`Scene::for_each_triangle`], a stream of world-space `f32` triangles in an
 //! order that never changes, with materials ([`Material`]) and lights ([`Scene::lights`]) beside it.
@@ -25,12 +25,14 @@
 //!   warning. So are doors, when they are to be open.
 //! - Front faces are counter-clockwise; a mirroring instance is turned over to keep them so.
 //! - An *object* is an OBJ object (`o`; where there is none, a named `g`) of a mesh listed without
-//!   `instances`, or one instance. A *light* is an object times an emitting material.
+//!   `instances`, a glTF node, or one instance. A *light* is an object times an emitting material.
 
 mod doors;
 mod error;
 mod file;
 mod frame;
+mod gltf;
+mod hints;
 mod input;
 mod lights;
 mod load;
@@ -105,7 +107,7 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Cameras, in store coordinates.
     pub views: Vec<View>,
-    /// Boxes that the scene file calls rooms, in store coordinates.
+    /// What the scene file calls rooms, in store coordinates.
     pub hints: Vec<RoomHint>,
     /// What was subtracted from the coordinates before they were rounded to `f32`, m: 0, or, when some
     /// coordinate is beyond 4096 m, the bounds' centre in whole metres.
@@ -156,7 +158,7 @@ pub struct View {
     pub record: ViewRecord,
 }
 
-/// A box that the scene's author calls a room, store coordinates, m.
+/// A box or an upright prism that the scene's author calls a room, store coordinates, m.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoomHint {
     /// Name.
@@ -165,6 +167,10 @@ pub struct RoomHint {
     pub min: [f32; 3],
     /// Upper corner.
     pub max: [f32; 3],
+    /// Footprint: corners (x, y), counter-clockwise seen from above, not crossing itself, without the
+    /// first one again at the end; `min` and `max` are its bounds and the heights of floor and ceiling.
+    /// Empty: the box is the room.
+    pub polygon: Vec<[f32; 2]>,
 }
 
 /// One triangle of the stream.
@@ -381,6 +387,11 @@ impl Scene {
             + self.points.capacity() * size_of::<(String, LightRecord)>()
             + self.views.capacity() * size_of::<View>()
             + self.hints.capacity() * size_of::<RoomHint>()
+            + self
+                .hints
+                .iter()
+                .map(|h| h.name.capacity() + h.polygon.capacity() * 8)
+                .sum::<usize>()
             + self.doors.capacity() * 4
             + self.copies.len() * 32;
         self.geometry.bytes() + (names + lists) as u64

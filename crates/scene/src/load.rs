@@ -2,10 +2,10 @@
 //! will hold.
 
 use crate::{
-    Doors, Frame, InputFile, LoadOptions, Material, RoomHint, Scene, SceneError, Up,
+    Doors, Frame, InputFile, LoadOptions, Material, Scene, SceneError, Up,
     file::{self, MaterialTable, Parsed, PointKind, SceneFile},
-    frame::Placements,
-    lights, materials,
+    frame::{Placements, local_matrix},
+    gltf, hints, lights, materials,
     mtl::{self, Spec},
     obj::{self, Mesh},
     shape::{Lookup, Part, Position},
@@ -16,7 +16,7 @@ use enf_layout::{
     NONE,
     light::{LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord},
 };
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DMat4, DVec3, DVec4, Vec3};
 use std::{
     collections::{BTreeMap, BTreeSet, HashSet},
     path::{Path, PathBuf},
@@ -32,7 +32,7 @@ const SUSPICIOUS: f64 = 5e3;
 /// Name of what has no material.
 const UNNAMED: &str = "unnamed";
 
-/// Reads a scene: `.obj`, `.obj.zst` or `.toml`.
+/// Reads a scene: `.obj`, `.obj.zst`, `.gltf`, `.glb` or `.toml`.
 ///
 /// Errors name the file, the line or object, and a remedy: files that are missing, damaged or of
 /// another kind; faces that use vertices that are not there; unknown keys; a scene without any
@@ -51,6 +51,17 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
     }
     if kind.ends_with(".toml") {
         from_toml(path, options)
+    } else if is_gltf(path) {
+        let mut loader = Loader::default();
+        if options.up.is_some() {
+            loader
+                .warnings
+                .push(format!("{}: --up is ignored: in glTF files y points up", path.display()));
+        }
+        let model = loader.model(path, options)?;
+        let frame = Frame { units: options.units.unwrap_or(1.0), up: Up::Y, origin: [0.0; 3] };
+        loader.place_model(model, &Listed::alone(), &Frame { units: 1.0, ..frame })?;
+        loader.finish(path, stem(path), frame, options, None)
     } else if kind.ends_with(".obj") || kind.ends_with(".obj.zst") {
         let mut loader = Loader::default();
         let mesh = loader.mesh(path, options)?;
@@ -72,7 +83,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
         Err(SceneError::whole(
             path,
             "is no kind of scene that is read here",
-            "give a .obj, a .obj.zst or a scene file that ends in .toml",
+            "give a .obj, a .obj.zst, a .gltf, a .glb or a scene file that ends in .toml",
         ))
     }
 }
@@ -81,13 +92,19 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut name = &*name;
-    for end in [".zst", ".obj", ".toml"] {
+    for end in [".zst", ".obj", ".gltf", ".glb", ".toml"] {
         let cut = name.len().saturating_sub(end.len());
         if name.get(cut..).is_some_and(|e| e.eq_ignore_ascii_case(end)) {
             name = &name[..cut];
         }
     }
     if file::name_problem(name).is_some() { "scene".into() } else { name.into() }
+}
+
+/// True for `.gltf` and `.glb`.
+fn is_gltf(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("gltf") || e.eq_ignore_ascii_case("glb"))
 }
 
 /// A `[[mesh]]` before its materials are known.
@@ -111,9 +128,134 @@ struct Loader {
     uses: Vec<Placing>,
     inputs: Vec<InputFile>,
     warnings: Vec<String>,
+    /// glTF files, and the number of their first mesh.
+    models: Vec<(gltf::Model, usize)>,
+    models_by_path: BTreeMap<PathBuf, usize>,
+    /// What glTF files hold beside meshes, in the coordinates of the scene's input.
+    lights: Vec<gltf::Light>,
+    cameras: Vec<gltf::Camera>,
+    rooms: Vec<gltf::Room>,
+}
+
+/// What a `[[mesh]]` says about a glTF file.
+struct Listed {
+    /// Its name, if it is placed by `instances`.
+    name: Option<String>,
+    placements: Placements,
+    door: Option<bool>,
+    remap: BTreeMap<String, String>,
+}
+
+impl Listed {
+    fn alone() -> Self {
+        Self { name: None, placements: Placements::identity(), door: None, remap: BTreeMap::new() }
+    }
 }
 
 impl Loader {
+    /// Reads a glTF file, once.
+    fn model(&mut self, path: &Path, options: &LoadOptions) -> Result<usize, SceneError> {
+        let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        if let Some(&model) = self.models_by_path.get(&key) {
+            return Ok(model);
+        }
+        let mut model = gltf::read(path, options)?;
+        let first = self.meshes.len();
+        self.inputs.append(&mut model.inputs);
+        self.warnings.append(&mut model.warnings);
+        self.libraries.insert(path.into(), std::mem::take(&mut model.materials));
+        for mut mesh in std::mem::take(&mut model.meshes) {
+            self.warnings.append(&mut mesh.warnings);
+            self.meshes.push(mesh);
+            self.mesh_libraries.push(vec![path.into()]);
+        }
+        self.models.push((model, first));
+        self.models_by_path.insert(key, self.models.len() - 1);
+        Ok(self.models.len() - 1)
+    }
+
+    /// Places the nodes of a glTF file in the coordinates of the scene's input, which `frame` describes.
+    fn place_model(
+        &mut self,
+        model: usize,
+        listed: &Listed,
+        frame: &Frame,
+    ) -> Result<(), SceneError> {
+        let (model, first) = &self.models[model];
+        // From y up and metres to the input's.
+        let turn = match frame.up {
+            Up::Y => DMat3::IDENTITY,
+            Up::Z => DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y),
+        };
+        let into = DMat4::from_mat3(turn * (1.0 / frame.units));
+        for node in &model.placed {
+            let mut placements = Placements::default();
+            for i in 0..listed.placements.len() {
+                let m = local_matrix(listed.placements.get(i), frame.up);
+                let rows: [DVec4; 4] = [
+                    DVec4::from_slice(&m[0..4]),
+                    DVec4::from_slice(&m[4..8]),
+                    DVec4::from_slice(&m[8..12]),
+                    DVec4::W,
+                ];
+                let place = DMat4::from_cols_array_2d(&rows.map(|r| r.to_array())).transpose();
+                let world = (place * into * node.world).transpose();
+                let mut numbers = [0.0; 12];
+                for (row, out) in numbers.chunks_exact_mut(4).enumerate() {
+                    out.copy_from_slice(&world.col(row).to_array());
+                }
+                placements.push(&numbers).map_err(|e| {
+                    SceneError::whole(
+                        &self.meshes[first + node.mesh].file,
+                        format!("the node \"{}\" cannot be placed: {e}", node.name),
+                        "correct the scales of the nodes, or --units",
+                    )
+                })?;
+            }
+            placements.shrink();
+            let name = match &listed.name {
+                Some(name) => format!("{name}/{}", node.name),
+                None => node.name.clone(),
+            };
+            self.uses.push(Placing {
+                mesh: first + node.mesh,
+                door: listed.door.or(crate::doors::is_door(&name).then_some(true)),
+                name,
+                placements,
+                whole: true,
+                remap: listed.remap.clone(),
+            });
+        }
+        if listed.name.is_some() {
+            if !(model.lights.is_empty() && model.cameras.is_empty() && model.rooms.is_empty()) {
+                self.warnings.push(format!(
+                    "\"{}\": point lights, cameras and rooms of a glTF file that is placed by \
+                     instances are left out",
+                    listed.name.as_deref().unwrap_or_default()
+                ));
+            }
+            return Ok(());
+        }
+        let at = |p: DVec3| into.transform_point3(p);
+        self.lights.extend(model.lights.iter().map(|l| gltf::Light {
+            name: l.name.clone(),
+            position: at(l.position),
+            flux: l.flux,
+        }));
+        self.cameras.extend(model.cameras.iter().map(|c| gltf::Camera {
+            name: c.name.clone(),
+            eye: at(c.eye),
+            ahead: turn * c.ahead,
+            up: turn * c.up,
+            fov: c.fov,
+        }));
+        self.rooms.extend(model.rooms.iter().map(|r| {
+            let (a, b) = (at(r.min), at(r.max));
+            gltf::Room { name: r.name.clone(), min: a.min(b), max: a.max(b) }
+        }));
+        Ok(())
+    }
+
     /// Reads a mesh and its MTL files, once.
     fn mesh(&mut self, path: &Path, options: &LoadOptions) -> Result<usize, SceneError> {
         let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
@@ -194,25 +336,30 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
         }
         None => stem(path),
     };
+    let frame = Frame {
+        units: options.units.or(scene.units.map(|u| u.0)).unwrap_or(1.0),
+        up: options.up.or(scene.up).unwrap_or_default(),
+        origin: [0.0; 3],
+    };
     let folder = path.parent().unwrap_or(Path::new(""));
     if scene.mesh.is_empty() {
         return Err(SceneError::whole(
             path,
             "no [[mesh]] in it",
-            "name at least one OBJ file: [[mesh]] file = \"building.obj\"",
+            "name at least one model: [[mesh]] file = \"building.obj\"",
         ));
     }
     for at in &scene.mesh {
         let table = at.get_ref();
         let kind = table.file.to_ascii_lowercase();
-        if !(kind.ends_with(".obj") || kind.ends_with(".obj.zst")) {
+        let file = folder.join(&table.file);
+        if !(kind.ends_with(".obj") || kind.ends_with(".obj.zst") || is_gltf(&file)) {
             return Err(parsed.error(
                 at,
-                format!("mesh \"{}\" is no OBJ file", table.file),
-                "give a .obj or .obj.zst",
+                format!("mesh \"{}\" is no OBJ or glTF file", table.file),
+                "give a .obj, .obj.zst, .gltf or .glb",
             ));
         }
-        let file = folder.join(&table.file);
         if !file.exists() {
             return Err(parsed.error(
                 at,
@@ -220,7 +367,6 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
                 "file names are relative to the scene file",
             ));
         }
-        let mesh = loader.mesh(&file, options)?;
         let from_file = match &table.instances_file {
             Some(_) if table.instances.is_some() => {
                 return Err(parsed.error(
@@ -241,8 +387,20 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
             from_file.or_else(|| table.instances.clone()).unwrap_or_else(Placements::identity);
         placements.shrink();
         let name = table.name.clone().unwrap_or_else(|| stem(&file));
+        let model = if is_gltf(&file) { Some(loader.model(&file, options)?) } else { None };
+        let meshes = match model {
+            Some(model) => {
+                let (model, first) = &loader.models[model];
+                let count = model.placed.iter().map(|p| p.mesh + 1).max().unwrap_or(0);
+                *first..*first + count
+            }
+            None => {
+                let mesh = loader.mesh(&file, options)?;
+                mesh..mesh + 1
+            }
+        };
         for from in table.remapped() {
-            let known = loader.meshes[mesh].materials.iter();
+            let known = loader.meshes[meshes.clone()].iter().flat_map(|m| &m.materials);
             if !known.map(|m| m.as_deref().unwrap_or(UNNAMED)).any(|m| m == from) {
                 loader.warnings.push(format!(
                     "{}: mesh \"{name}\" has no material \"{from}\" to replace",
@@ -250,16 +408,22 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
                 ));
             }
         }
+        if let Some(model) = model {
+            let listed = Listed {
+                name: whole.then_some(name),
+                placements,
+                door: table.door,
+                remap: table.materials.clone(),
+            };
+            loader.place_model(model, &listed, &frame)?;
+            continue;
+        }
+        let mesh = meshes.start;
         // A mesh that is placed as a whole may be a door by its own name.
         let door = table.door.or((whole && crate::doors::is_door(&name)).then_some(true));
         let remap = table.materials.clone();
         loader.uses.push(Placing { mesh, name, placements, whole, door, remap });
     }
-    let frame = Frame {
-        units: options.units.or(scene.units.map(|u| u.0)).unwrap_or(1.0),
-        up: options.up.or(scene.up).unwrap_or_default(),
-        origin: [0.0; 3],
-    };
     loader.finish(path, name, frame, options, Some(&parsed))
 }
 
@@ -394,13 +558,13 @@ impl Loader {
             if strict {
                 return Err(SceneError::whole(
                     &self.meshes[mesh].file,
-                    "some faces have no material (usemtl)",
+                    "some faces have no material",
                     "give them one, or define \"unnamed\" as a [[material]] of a scene file, or do \
                      without --strict",
                 ));
             }
             self.warnings.push(format!(
-                "{}: some faces have no material (usemtl); grey {} is used",
+                "{}: some faces have no material; grey {} is used",
                 self.meshes[mesh].file.display(),
                 materials::DEFAULT_GREY
             ));
@@ -487,9 +651,26 @@ impl Loader {
             ));
         }
         let measured = measure(&mut geometry, path, |material| table.emits(material))?;
-        let points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
-        let views = parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
-        let hints = parsed.map_or(Ok(Vec::new()), |p| room_hints(p, &frame))?;
+        let mut points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
+        for light in self.lights {
+            let position = frame.point(light.position.to_array());
+            let down = [0.0, 0.0, -1.0];
+            points.push((light.name, lights::point(LIGHT_POINT, position, down, light.flux)));
+        }
+        let mut views =
+            parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
+        for camera in &self.cameras {
+            views::add_camera(&mut views, camera, &frame);
+        }
+        let mut hints = parsed.map_or(Ok(Vec::new()), |p| hints::build(p, &frame))?;
+        for room in &self.rooms {
+            hints.extend(hints::of_box(
+                &room.name,
+                room.min.to_array(),
+                room.max.to_array(),
+                &frame,
+            ));
+        }
 
         if let Some((object, corners)) = measured.first_flat {
             warnings.push(format!(
@@ -975,30 +1156,6 @@ fn point_lights(
             continue;
         }
         out.push((name.clone(), lights::point(kind, position, axis, flux)));
-    }
-    Ok(out)
-}
-
-fn room_hints(parsed: &Parsed<SceneFile>, frame: &Frame) -> Result<Vec<RoomHint>, SceneError> {
-    let mut out = Vec::with_capacity(parsed.value.room.len());
-    for (i, at) in parsed.value.room.iter().enumerate() {
-        let table = at.get_ref();
-        let name = table.name.clone().unwrap_or_else(|| format!("room-{}", i + 1));
-        let (a, b) = (frame.point(table.min), frame.point(table.max));
-        // Turning up may swap the ends of an axis, and only that is put right.
-        let empty = (0..3).any(|c| table.min[c] >= table.max[c] || a[c] == b[c]);
-        if empty || a.iter().chain(&b).any(|v| !v.is_finite()) {
-            return Err(parsed.error(
-                at,
-                format!("room \"{name}\" is empty"),
-                "min must be below max in x, y and z",
-            ));
-        }
-        out.push(RoomHint {
-            name,
-            min: std::array::from_fn(|c| a[c].min(b[c])),
-            max: std::array::from_fn(|c| a[c].max(b[c])),
-        });
     }
     Ok(out)
 }

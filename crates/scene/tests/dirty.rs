@@ -78,7 +78,7 @@ fn strict_refuses_what_is_left_out_otherwise() {
         ("curv 0 1 2\n", "a.obj:9: ", "free-form"),
         ("vertex 0 1 2\n", "a.obj:9: ", "\"vertex\" is no statement"),
         ("usemtl nothing\nf 1 2 3\n", "a.obj: ", "no definition of material \"nothing\""),
-        ("usemtl\nf 1 2 3\n", "a.obj: ", "no material (usemtl)"),
+        ("usemtl\nf 1 2 3\n", "a.obj: ", "faces have no material"),
         ("mtllib b.mtl\n", "a.obj:9: ", "\"b.mtl\" is missing"),
     ] {
         let dir = tempfile::tempdir().unwrap();

@@ -614,7 +614,7 @@ fn bad_scene_files_name_the_line_and_the_key() {
         (format!("{mesh}instances = []\ninstances_file = \"x\"\n"), 1, "both"),
         ("[[mesh]]\nname = \"x\"\n".into(), 1, "missing field `file`"),
         ("[[mesh]]\nfile = \"b.obj\"\n".into(), 1, "b.obj\" is missing"),
-        ("[[mesh]]\nfile = \"b.glb\"\n".into(), 1, "no OBJ"),
+        ("[[mesh]]\nfile = \"b.stl\"\n".into(), 1, "no OBJ"),
         (format!("units = \"parsec\"\n{mesh}"), 1, "parsec"),
         (format!("units = -1\n{mesh}"), 1, "units"),
         (format!("up = \"x\"\n{mesh}"), 1, "up"),
