@@ -5,6 +5,9 @@
 //! the mesh, the primitive and the accessor. (The tests hold it against the crate `gltf`.) Sections in
 //! comments are those of the glTF 2.0 specification.
 
+mod data;
+mod json;
+
 use crate::{
     InputFile, LoadOptions, SceneError,
     file::LUMENS_PER_WATT,
@@ -13,18 +16,16 @@ use crate::{
     obj::{self, Mesh},
     shape::{Builder, Part},
 };
+use data::{Buffer, Items, base64, component, unescaped, value};
 use glam::{DMat3, DMat4, DQuat, DVec3};
-use serde::Deserialize;
 use std::{
     collections::{BTreeMap, BTreeSet},
     f64::consts::PI,
     fs::File,
     os::unix::fs::FileExt,
-    path::{Path, PathBuf},
+    path::Path,
 };
 
-/// Bytes of a buffer that are read in one go, about.
-const BLOCK: u64 = 256 << 10;
 /// Reflectance that stands for a base colour texture, which is not read.
 const TEXTURE_GREY: f64 = 0.5;
 /// Required extensions that change nothing here, or that are understood.
@@ -88,324 +89,6 @@ pub(crate) struct Room {
     pub(crate) max: DVec3,
 }
 
-mod json {
-    //! The part of glTF's JSON that is used; everything else is read past.
-    use super::Deserialize;
-    use serde_json::Value;
-    use std::collections::BTreeMap;
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct Root {
-        pub(super) asset: Asset,
-        pub(super) scene: Option<usize>,
-        #[serde(default)]
-        pub(super) scenes: Vec<Scene>,
-        #[serde(default)]
-        pub(super) nodes: Vec<Node>,
-        #[serde(default)]
-        pub(super) meshes: Vec<Mesh>,
-        #[serde(default)]
-        pub(super) accessors: Vec<Accessor>,
-        #[serde(default)]
-        pub(super) buffer_views: Vec<View>,
-        #[serde(default)]
-        pub(super) buffers: Vec<Buffer>,
-        #[serde(default)]
-        pub(super) materials: Vec<Material>,
-        #[serde(default)]
-        pub(super) cameras: Vec<Camera>,
-        #[serde(default)]
-        pub(super) extensions: RootExtensions,
-        #[serde(default)]
-        pub(super) extensions_used: Vec<String>,
-        #[serde(default)]
-        pub(super) extensions_required: Vec<String>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Asset {
-        pub(super) version: String,
-    }
-
-    #[derive(Default, Deserialize)]
-    pub(super) struct RootExtensions {
-        #[serde(default, rename = "KHR_lights_punctual")]
-        pub(super) lights: Lights,
-    }
-
-    #[derive(Default, Deserialize)]
-    pub(super) struct Lights {
-        #[serde(default)]
-        pub(super) lights: Vec<Light>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Light {
-        pub(super) name: Option<String>,
-        #[serde(rename = "type")]
-        pub(super) kind: String,
-        pub(super) color: Option<[f64; 3]>,
-        pub(super) intensity: Option<f64>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Scene {
-        #[serde(default)]
-        pub(super) nodes: Vec<usize>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Node {
-        pub(super) name: Option<String>,
-        #[serde(default)]
-        pub(super) children: Vec<usize>,
-        pub(super) mesh: Option<usize>,
-        pub(super) camera: Option<usize>,
-        pub(super) skin: Option<usize>,
-        pub(super) matrix: Option<[f64; 16]>,
-        pub(super) translation: Option<[f64; 3]>,
-        pub(super) rotation: Option<[f64; 4]>,
-        pub(super) scale: Option<[f64; 3]>,
-        #[serde(default)]
-        pub(super) extensions: NodeExtensions,
-        pub(super) extras: Option<Value>,
-    }
-
-    #[derive(Default, Deserialize)]
-    pub(super) struct NodeExtensions {
-        #[serde(rename = "KHR_lights_punctual")]
-        pub(super) light: Option<LightOf>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct LightOf {
-        pub(super) light: usize,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Mesh {
-        pub(super) name: Option<String>,
-        #[serde(default)]
-        pub(super) primitives: Vec<Primitive>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Primitive {
-        pub(super) attributes: BTreeMap<String, usize>,
-        pub(super) indices: Option<usize>,
-        pub(super) material: Option<usize>,
-        pub(super) mode: Option<u32>,
-        #[serde(default)]
-        pub(super) targets: Vec<serde::de::IgnoredAny>,
-        #[serde(default)]
-        pub(super) extensions: BTreeMap<String, serde::de::IgnoredAny>,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct Accessor {
-        pub(super) buffer_view: Option<usize>,
-        #[serde(default)]
-        pub(super) byte_offset: u64,
-        pub(super) component_type: u32,
-        #[serde(default)]
-        pub(super) normalized: bool,
-        pub(super) count: u64,
-        #[serde(rename = "type")]
-        pub(super) kind: String,
-        pub(super) sparse: Option<Sparse>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Sparse {
-        pub(super) count: u64,
-        pub(super) indices: SparseIndices,
-        pub(super) values: SparseValues,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct SparseIndices {
-        pub(super) buffer_view: usize,
-        #[serde(default)]
-        pub(super) byte_offset: u64,
-        pub(super) component_type: u32,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct SparseValues {
-        pub(super) buffer_view: usize,
-        #[serde(default)]
-        pub(super) byte_offset: u64,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct View {
-        pub(super) buffer: usize,
-        #[serde(default)]
-        pub(super) byte_offset: u64,
-        pub(super) byte_length: u64,
-        pub(super) byte_stride: Option<u64>,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct Buffer {
-        pub(super) uri: Option<String>,
-        pub(super) byte_length: u64,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Camera {
-        pub(super) name: Option<String>,
-        #[serde(rename = "type")]
-        pub(super) kind: String,
-        pub(super) perspective: Option<Perspective>,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Perspective {
-        pub(super) yfov: f64,
-    }
-
-    #[derive(Default, Deserialize)]
-    #[serde(rename_all = "camelCase", default)]
-    pub(super) struct Material {
-        pub(super) name: Option<String>,
-        pub(super) pbr_metallic_roughness: Pbr,
-        pub(super) emissive_factor: Option<[f64; 3]>,
-        pub(super) emissive_texture: Option<serde::de::IgnoredAny>,
-        pub(super) alpha_mode: Option<String>,
-        pub(super) extensions: MaterialExtensions,
-    }
-
-    #[derive(Default, Deserialize)]
-    #[serde(rename_all = "camelCase", default)]
-    pub(super) struct Pbr {
-        pub(super) base_color_factor: Option<[f64; 4]>,
-        pub(super) base_color_texture: Option<serde::de::IgnoredAny>,
-        pub(super) metallic_factor: Option<f64>,
-        pub(super) roughness_factor: Option<f64>,
-    }
-
-    #[derive(Default, Deserialize)]
-    #[serde(default)]
-    pub(super) struct MaterialExtensions {
-        #[serde(rename = "KHR_materials_emissive_strength")]
-        pub(super) strength: Option<Strength>,
-        #[serde(rename = "KHR_materials_transmission")]
-        pub(super) transmission: Option<Transmission>,
-        #[serde(rename = "KHR_materials_ior")]
-        pub(super) ior: Option<Ior>,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct Strength {
-        pub(super) emissive_strength: Option<f64>,
-    }
-
-    #[derive(Deserialize)]
-    #[serde(rename_all = "camelCase")]
-    pub(super) struct Transmission {
-        #[serde(default)]
-        pub(super) transmission_factor: f64,
-    }
-
-    #[derive(Deserialize)]
-    pub(super) struct Ior {
-        pub(super) ior: Option<f64>,
-    }
-}
-
-/// Bytes of a buffer: part of a file, or decoded from a data URI.
-enum Buffer {
-    File { file: File, path: PathBuf, start: u64, len: u64 },
-    Memory(Vec<u8>),
-}
-
-impl Buffer {
-    fn len(&self) -> u64 {
-        match self {
-            Self::File { len, .. } => *len,
-            Self::Memory(bytes) => bytes.len() as u64,
-        }
-    }
-
-    /// Reads what was checked to be there.
-    fn read(&self, at: u64, out: &mut [u8]) -> Result<(), SceneError> {
-        match self {
-            Self::File { file, path, start, .. } => {
-                file.read_exact_at(out, start + at).map_err(|e| SceneError::read(path, e))
-            }
-            Self::Memory(bytes) => {
-                out.copy_from_slice(&bytes[at as usize..at as usize + out.len()]);
-                Ok(())
-            }
-        }
-    }
-}
-
-/// Number of bytes of a component (5.1.3), and what its integers are divided by when normalised (3.11).
-fn component(kind: u32) -> Option<(u64, f64)> {
-    Some(match kind {
-        5120 => (1, 127.0),
-        5121 => (1, 255.0),
-        5122 => (2, 32767.0),
-        5123 => (2, 65535.0),
-        5125 => (4, 4294967295.0),
-        5126 => (4, 1.0),
-        _ => return None,
-    })
-}
-
-/// A component's value.
-fn value(kind: u32, bytes: &[u8]) -> f64 {
-    let two = || [bytes[0], bytes[1]];
-    let four = || [bytes[0], bytes[1], bytes[2], bytes[3]];
-    match kind {
-        5120 => f64::from(bytes[0] as i8),
-        5121 => f64::from(bytes[0]),
-        5122 => f64::from(i16::from_le_bytes(two())),
-        5123 => f64::from(u16::from_le_bytes(two())),
-        5125 => f64::from(u32::from_le_bytes(four())),
-        _ => f64::from(f32::from_le_bytes(four())),
-    }
-}
-
-/// A run of equal items in a buffer, known to lie in it.
-struct Items<'a> {
-    buffer: &'a Buffer,
-    at: u64,
-    stride: u64,
-    size: u64,
-    count: u64,
-}
-
-impl Items<'_> {
-    /// Calls `f` with the bytes of each item.
-    fn each(&self, mut f: impl FnMut(&[u8]) -> Result<(), SceneError>) -> Result<(), SceneError> {
-        let per_block = (BLOCK / self.stride).max(1);
-        let mut block = Vec::new();
-        let mut done = 0;
-        while done < self.count {
-            let n = per_block.min(self.count - done);
-            // The last item of a view need not be followed by its padding.
-            block.resize(((n - 1) * self.stride + self.size) as usize, 0);
-            self.buffer.read(self.at + done * self.stride, &mut block)?;
-            for i in 0..n {
-                let at = (i * self.stride) as usize;
-                f(&block[at..at + self.size as usize])?;
-            }
-            done += n;
-        }
-        Ok(())
-    }
-}
-
 /// A file that is being read.
 struct Reader<'a> {
     path: &'a Path,
@@ -416,7 +99,12 @@ struct Reader<'a> {
     warnings: Vec<String>,
     inputs: Vec<InputFile>,
     strict: bool,
+    /// Vertices and indices read so far: accessors may be used again, but not without end.
+    elements: u64,
 }
+
+/// Elements that a file may give for each of its bytes.
+const MOST_PER_BYTE: u64 = 16;
 
 /// Reads `.gltf` or `.glb`.
 pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<Model, SceneError> {
@@ -526,52 +214,8 @@ fn open<'a>(path: &'a Path, options: &LoadOptions) -> Result<Reader<'a>, SceneEr
         warnings: Vec::new(),
         inputs: vec![input],
         strict: options.strict,
+        elements: 0,
     })
-}
-
-/// `%20` and the like undone.
-fn unescaped(uri: &str) -> String {
-    let bytes = uri.as_bytes();
-    let mut out = Vec::with_capacity(bytes.len());
-    let mut i = 0;
-    while i < bytes.len() {
-        let hex = bytes.get(i + 1..i + 3).and_then(|h| std::str::from_utf8(h).ok());
-        match hex.and_then(|h| u8::from_str_radix(h, 16).ok()) {
-            Some(byte) if bytes[i] == b'%' => {
-                out.push(byte);
-                i += 3;
-            }
-            _ => {
-                out.push(bytes[i]);
-                i += 1;
-            }
-        }
-    }
-    String::from_utf8_lossy(&out).into_owned()
-}
-
-/// Base64 (RFC 4648, section 4); blanks and the padding are optional.
-fn base64(text: &str) -> Option<Vec<u8>> {
-    let mut out = Vec::with_capacity(text.len() / 4 * 3);
-    let (mut bits, mut n) = (0u32, 0);
-    for b in text.bytes() {
-        let six = match b {
-            b'A'..=b'Z' => b - b'A',
-            b'a'..=b'z' => b - b'a' + 26,
-            b'0'..=b'9' => b - b'0' + 52,
-            b'+' | b'-' => 62,
-            b'/' | b'_' => 63,
-            b'=' | b'\r' | b'\n' | b' ' | b'\t' => continue,
-            _ => return None,
-        };
-        bits = bits << 6 | u32::from(six);
-        n += 6;
-        if n >= 8 {
-            n -= 8;
-            out.push((bits >> n) as u8);
-        }
-    }
-    Some(out)
 }
 
 impl Reader<'_> {
@@ -747,6 +391,21 @@ impl Reader<'_> {
         }
     }
 
+    /// Counts what is about to be read: many primitives could ask for the same elements until memory is
+    /// full.
+    fn about_to_read(&mut self, mesh: usize) -> Result<(), SceneError> {
+        for primitive in self.root.meshes.get(mesh).iter().flat_map(|m| &m.primitives) {
+            for accessor in primitive.indices.iter().chain(primitive.attributes.get("POSITION")) {
+                let count = self.root.accessors.get(*accessor).map_or(0, |a| a.count);
+                self.elements = self.elements.saturating_add(count);
+            }
+        }
+        if self.elements > self.bytes.saturating_mul(MOST_PER_BYTE) {
+            return self.damaged(format!("mesh {mesh} uses the same elements over and over"));
+        }
+        Ok(())
+    }
+
     fn model(mut self, options: &LoadOptions) -> Result<Model, SceneError> {
         let (names, materials) = self.materials();
         let nodes = self.nodes()?;
@@ -886,6 +545,7 @@ impl Reader<'_> {
         names: &[String],
         options: &LoadOptions,
     ) -> Result<Mesh, SceneError> {
+        self.about_to_read(index)?;
         let Some(said) = self.root.meshes.get(index) else {
             return self.damaged(format!("there is no mesh {index}"));
         };
@@ -1006,6 +666,7 @@ impl Reader<'_> {
 
     /// The box of a room's mesh.
     fn room(&mut self, mesh: usize, node: &Node, model: &mut Model) -> Result<(), SceneError> {
+        self.about_to_read(mesh)?;
         let Some(said) = self.root.meshes.get(mesh) else {
             return self.damaged(format!("there is no mesh {mesh}"));
         };
@@ -1183,7 +844,7 @@ impl Cutter {
         match self.mode {
             4 => (i % 3 == 2).then_some([a, b, v]),
             // Every other triangle is turned over.
-            5 if i % 2 == 0 => Some([a, b, v]),
+            5 if i.is_multiple_of(2) => Some([a, b, v]),
             5 => Some([a, v, b]),
             _ => Some([b, v, self.first]),
         }
@@ -1191,7 +852,7 @@ impl Cutter {
 
     /// The last triangle is not complete.
     fn left_over(&self) -> bool {
-        if self.mode == 4 { self.seen % 3 != 0 } else { self.seen == 1 || self.seen == 2 }
+        if self.mode == 4 { !self.seen.is_multiple_of(3) } else { self.seen == 1 || self.seen == 2 }
     }
 }
 
@@ -1248,14 +909,6 @@ mod tests {
         assert_eq!(cut(5, 5), (vec![[0, 1, 2], [1, 3, 2], [2, 3, 4]], false));
         assert_eq!(cut(6, 5), (vec![[1, 2, 0], [2, 3, 0], [3, 4, 0]], false));
         assert_eq!(cut(6, 2), (vec![], true));
-    }
-
-    #[test]
-    fn texts_are_decoded() {
-        assert_eq!(base64("aGVsbG8=").unwrap(), b"hello");
-        assert_eq!(base64("aGVs\nbG8").unwrap(), b"hello");
-        assert!(base64("a*b").is_none());
-        assert_eq!(unescaped("a%20b%2Fc%"), "a b/c%");
     }
 
     #[test]

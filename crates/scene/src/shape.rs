@@ -158,7 +158,7 @@ impl Builder {
 
     pub(crate) fn push_vertex(&mut self, p: Position) -> Result<(), SceneError> {
         self.tail.positions.push(p);
-        if self.tail.positions.len() % TAIL == 0 { self.check() } else { Ok(()) }
+        if self.tail.positions.len().is_multiple_of(TAIL) { self.check() } else { Ok(()) }
     }
 
     /// Adds a triangle of a part (whose `end` is put right here).
@@ -173,7 +173,7 @@ impl Builder {
             Some(last) if Part { end: part.end, ..*last } == part => last.end = end,
             _ => self.tail.parts.push(Part { end, ..part }),
         }
-        if self.tail.triangles.len() % TAIL == 0 { self.check() } else { Ok(()) }
+        if self.tail.triangles.len().is_multiple_of(TAIL) { self.check() } else { Ok(()) }
     }
 
     /// A vertex that was pushed before; `None` for one that was not.

@@ -30,7 +30,7 @@ impl Model {
     }
 
     fn view(&mut self, bytes: &[u8]) -> usize {
-        while self.bin.len() % 4 != 0 {
+        while !self.bin.len().is_multiple_of(4) {
             self.bin.push(0);
         }
         let at = self.bin.len();
@@ -585,7 +585,7 @@ fn bad_files_say_what_is_wrong() {
     type Edit<'a> = &'a dyn Fn(&mut Value);
     let cases: [(Edit<'_>, &str); 16] = [
         (&|j| j["asset"]["version"] = json!("1.0"), "version \"1.0\""),
-        (&|j| j["accessors"][0]["count"] = json!(huge), "accessor 0"),
+        (&|j| j["accessors"][0]["count"] = json!(huge), "mesh 0 uses"),
         (&|j| j["accessors"][0]["count"] = json!(5), "accessor 0 has 5 elements beyond"),
         (&|j| j["accessors"][1]["byteOffset"] = json!(u64::MAX), "accessor 1"),
         (&|j| j["accessors"][0]["bufferView"] = json!(99), "accessor 0"),
@@ -619,9 +619,14 @@ fn bad_files_say_what_is_wrong() {
     let error = with(&|j| {
         let sparse = json!({"count": 1, "indices": {"bufferView": 1, "componentType": 5121}, "values": {"bufferView": 0}});
         j["accessors"][0] =
-            json!({"componentType": 5126, "count": 1u64 << 40, "type": "VEC3", "sparse": sparse});
+            json!({"componentType": 5126, "count": 20_000, "type": "VEC3", "sparse": sparse});
     });
     assert!(error.contains("beyond its buffer"), "{error}");
+    let error = with(&|j| {
+        let one = j["meshes"][0]["primitives"][0].clone();
+        j["meshes"][0]["primitives"] = json!(vec![one; 3000]);
+    });
+    assert!(error.contains("over and over"), "{error}");
     fs::write(dir.path().join("c.gltf"), "{\n\"asset\": {\"version\": 2.0}\n}").unwrap();
     assert!(error_of(&dir, "c.gltf").contains("c.gltf:2: "));
     fs::remove_file(dir.path().join("its buffer.bin")).unwrap();
