@@ -109,6 +109,7 @@ pub(crate) struct RoomTable {
     pub(crate) max: Option<[f64; 3]>,
     pub(crate) polygon: Option<Vec<[f64; 2]>>,
     pub(crate) z: Option<[f64; 2]>,
+    pub(crate) file: Option<String>,
 }
 
 #[derive(Deserialize)]

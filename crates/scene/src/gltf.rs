@@ -14,7 +14,7 @@ use crate::{
     input,
     mtl::Spec,
     obj::{self, Mesh},
-    shape::{Builder, Part},
+    shape::{Builder, Lookup, Part},
 };
 use data::{Buffer, Items, base64, component, unescaped, value};
 use glam::{DMat3, DMat4, DQuat, DVec3};
@@ -82,11 +82,10 @@ pub(crate) struct Camera {
     pub(crate) fov: f64,
 }
 
-/// The box of a node that is a room.
+/// The mesh of a node that is a room.
 pub(crate) struct Room {
     pub(crate) name: String,
-    pub(crate) min: DVec3,
-    pub(crate) max: DVec3,
+    pub(crate) triangles: Vec<[DVec3; 3]>,
 }
 
 /// A file that is being read.
@@ -443,7 +442,8 @@ impl Reader<'_> {
                 continue;
             };
             if node.room {
-                self.room(mesh, &node, &mut model)?;
+                let room = self.room(mesh, &node, &names, options)?;
+                model.rooms.push(room);
                 continue;
             }
             let determinant = DMat3::from_mat4(node.world).determinant();
@@ -664,29 +664,27 @@ impl Reader<'_> {
         Ok(mesh)
     }
 
-    /// The box of a room's mesh.
-    fn room(&mut self, mesh: usize, node: &Node, model: &mut Model) -> Result<(), SceneError> {
-        self.about_to_read(mesh)?;
-        let Some(said) = self.root.meshes.get(mesh) else {
-            return self.damaged(format!("there is no mesh {mesh}"));
-        };
-        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for primitive in &said.primitives {
-            let Some(&positions) = primitive.attributes.get("POSITION") else { continue };
-            self.each_element::<3>(positions, |xyz| {
-                let p = node.world.transform_point3(DVec3::from_array(xyz));
-                if obj::fits(p) {
-                    (min, max) = (min.min(p), max.max(p));
-                }
-                Ok(())
-            })?;
+    /// A room's mesh, where the node puts it.
+    fn room(
+        &mut self,
+        mesh: usize,
+        node: &Node,
+        names: &[String],
+        options: &LoadOptions,
+    ) -> Result<Room, SceneError> {
+        let mesh = self.mesh(mesh, names, options)?;
+        let mut triangles = Vec::new();
+        let mut lookup = Lookup::<DVec3>::default();
+        for t in 0..mesh.shape.triangles() as u32 {
+            let corners = lookup.triangle(&mesh.shape, t)?;
+            let mut points = [DVec3::ZERO; 3];
+            for (point, v) in points.iter_mut().zip(corners) {
+                let p = lookup.vertex(&mesh.shape, v, DVec3::from_array)?;
+                *point = node.world.transform_point3(p);
+            }
+            triangles.push(points);
         }
-        if min.cmplt(max).all() {
-            model.rooms.push(Room { name: node.name.clone(), min, max });
-        } else {
-            self.warn(format!("the room {} has no volume: no hint", quoted(&node.name)));
-        }
-        Ok(())
+        Ok(Room { name: node.name.clone(), triangles })
     }
 
     fn light(&mut self, light: usize, node: &Node, model: &mut Model) -> Result<(), SceneError> {

@@ -249,9 +249,9 @@ impl Loader {
             up: turn * c.up,
             fov: c.fov,
         }));
-        self.rooms.extend(model.rooms.iter().map(|r| {
-            let (a, b) = (at(r.min), at(r.max));
-            gltf::Room { name: r.name.clone(), min: a.min(b), max: a.max(b) }
+        self.rooms.extend(model.rooms.iter().map(|r| gltf::Room {
+            name: r.name.clone(),
+            triangles: r.triangles.iter().map(|t| t.map(at)).collect(),
         }));
         Ok(())
     }
@@ -662,14 +662,22 @@ impl Loader {
         for camera in &self.cameras {
             views::add_camera(&mut views, camera, &frame);
         }
-        let mut hints = parsed.map_or(Ok(Vec::new()), |p| hints::build(p, &frame))?;
+        let mut hints = Vec::new();
+        if let Some(p) = parsed {
+            let folder = path.parent().unwrap_or(Path::new(""));
+            let (rooms, mut files) = hints::build(p, folder, &frame, &mut warnings)?;
+            hints = rooms;
+            self.inputs.append(&mut files);
+        }
         for room in &self.rooms {
-            hints.extend(hints::of_box(
-                &room.name,
-                room.min.to_array(),
-                room.max.to_array(),
-                &frame,
-            ));
+            match hints::of_solid(&room.name, &room.triangles, &frame) {
+                Some(hint) => hints.push(hint),
+                None => warnings.push(format!(
+                    "{}: the room \"{}\" has no volume: no hint",
+                    path.display(),
+                    room.name
+                )),
+            }
         }
 
         if let Some((object, corners)) = measured.first_flat {

@@ -505,7 +505,6 @@ fn lights_cameras_and_rooms() {
         hints,
         [("Hall", [1., -3., 0.], [5., 0., 2.5]), ("Bath", [0., -1., 0.], [1., 0., 1.])]
     );
-    assert!(scene.hints.iter().all(|h| h.polygon.is_empty()));
     let lights = scene.lights().unwrap();
     assert_eq!(lights.names, ["bulb"]);
     assert_eq!((lights.records[0].kind, lights.records[0].position), (LIGHT_POINT, [1., -3., 2.]));
@@ -544,7 +543,19 @@ fn rooms_with_footprints_in_a_scene_file() {
         scene.hints[0].polygon,
         [[2., 0.], [2., 1.], [1., 1.], [1., 2.], [0., 2.], [0., 0.]]
     );
+    // Solids of an OBJ file: a box, and nothing.
+    let cube = "v 0 0 0\nv 2 0 0\nv 2 1 0\nv 0 1 0\nv 0 0 3\nv 2 0 3\nv 2 1 3\nv 0 1 3\no cell\n\
+                f 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\no flat\nf 1 2 3\n";
+    fs::write(dir.path().join("rooms.obj"), cube).unwrap();
+    fs::write(&path, format!("{head}file = \"rooms.obj\"\n")).unwrap();
+    let scene = open(&path);
+    assert_eq!((scene.hints.len(), scene.triangle_count(), scene.inputs.len()), (1, 1, 3));
+    assert_eq!((scene.hints[0].name.as_str(), scene.hints[0].max), ("cell", [2., 1., 3.]));
+    assert!(scene.warnings.iter().any(|w| w.contains("\"flat\" has no volume")));
     for (room, word) in [
+        ("file = \"rooms.obj\"\nname = \"x\"\n", "give the file alone"),
+        ("file = \"rooms.glb\"\n", "no OBJ"),
+        ("file = \"a.obj\"\n", "without rooms"),
         ("min = [0, 0, 0]\n", "neither a box nor a footprint"),
         ("polygon = [[0, 0], [1, 0], [0, 1]]\n", "neither a box nor a footprint"),
         ("polygon = [[0, 0], [1, 0]]\nz = [0, 1]\n", "three corners"),

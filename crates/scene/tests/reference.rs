@@ -5,6 +5,7 @@ use proptest::prelude::*;
 use std::{
     collections::BTreeMap,
     fmt::Write,
+    fs,
     path::{Path, PathBuf},
 };
 
@@ -65,8 +66,8 @@ proptest! {
         // tobj does not know "v/" and "v//" without numbers: plain there.
         let dir = tempfile::tempdir().unwrap();
         let (a, b) = (dir.path().join("a.obj"), dir.path().join("b.obj"));
-        std::fs::write(&a, &text).unwrap();
-        std::fs::write(&b, text.replace("// ", " ").replace("/ ", " ").replace("//\n", "\n")).unwrap();
+        fs::write(&a, &text).unwrap();
+        fs::write(&b, text.replace("// ", " ").replace("/ ", " ").replace("//\n", "\n")).unwrap();
         let scene = load(&a, &LoadOptions::default()).unwrap();
         prop_assert_eq!(ours(&scene), reference(&b));
     }
@@ -75,10 +76,10 @@ proptest! {
     fn no_bytes_make_it_panic(bytes in proptest::collection::vec(any::<u8>(), 0..300), kind in 0..4usize) {
         let dir = tempfile::tempdir().unwrap();
         let path = dir.path().join(["a.obj", "a.obj.zst", "a.toml", "a.mtl"][kind]);
-        std::fs::write(&path, &bytes).unwrap();
+        fs::write(&path, &bytes).unwrap();
         if kind == 3 {
             let obj = dir.path().join("a.obj");
-            std::fs::write(&obj, "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\n").unwrap();
+            fs::write(&obj, "mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl x\nf 1 2 3\n").unwrap();
             let _ = load(&obj, &LoadOptions::default());
         } else {
             let _ = load(&path, &LoadOptions::default());
@@ -95,8 +96,8 @@ proptest! {
             ]), 0..200),
     ) {
         let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join("a.obj"), words.join(" ")).unwrap();
-        std::fs::write(dir.path().join("a.mtl"), words.join(" ")).unwrap();
+        fs::write(dir.path().join("a.obj"), words.join(" ")).unwrap();
+        fs::write(dir.path().join("a.mtl"), words.join(" ")).unwrap();
         if let Ok(scene) = load(&dir.path().join("a.obj"), &LoadOptions::default()) {
             let lights = scene.lights().unwrap();
             prop_assert!(lights.records.iter().all(|l| l.flux_w.iter().all(|w| w.is_finite())));
@@ -190,7 +191,7 @@ fn real_models_have_the_triangles_that_they_should() {
     for model in ["bim/duplex", "bim/whale_large", "gi/cornell_box", "gi/pandora", "city/delft"] {
         let folder = Path::new(&data).join(model);
         let name = folder.file_name().unwrap().to_str().unwrap().to_string();
-        let truth = std::fs::read(folder.join(format!("{name}.truth.json"))).unwrap();
+        let truth = fs::read(folder.join(format!("{name}.truth.json"))).unwrap();
         let truth: serde_json::Value = serde_json::from_slice(&truth).unwrap();
         let stats = &truth["stats"];
         let scene = load(&folder.join(format!("{name}.obj.zst")), &LoadOptions::default()).unwrap();
@@ -230,5 +231,49 @@ fn real_models_have_the_triangles_that_they_should() {
             scene.resident_bytes(),
             scene.warnings
         );
+    }
+}
+
+/// The rooms' solids of real buildings, as their truth files measure them.
+#[test]
+fn solids_of_rooms_are_hints() {
+    let Some(data) = std::env::var_os("ENFILADE_DATA").map(PathBuf::from) else {
+        eprintln!("SKIPPED: set ENFILADE_DATA to the folder of test models to read their rooms");
+        return;
+    };
+    for name in ["duplex", "whale_large"] {
+        let folder = data.join("bim").join(name);
+        let dir = tempfile::tempdir().unwrap();
+        let toml = format!(
+            "[[mesh]]\nfile = {:?}\n[[room]]\nfile = {:?}\n",
+            folder.join(format!("{name}.obj.zst")),
+            folder.join(format!("{name}.spaces.obj.zst"))
+        );
+        fs::write(dir.path().join("s.toml"), toml).unwrap();
+        let scene = load(&dir.path().join("s.toml"), &LoadOptions::default()).unwrap();
+        let truth = fs::read(folder.join(format!("{name}.truth.json"))).unwrap();
+        let truth: serde_json::Value = serde_json::from_slice(&truth).unwrap();
+        let spaces = truth["spaces"].as_array().unwrap();
+        assert_eq!(scene.hints.len(), spaces.len());
+        for hint in &scene.hints {
+            let guid = hint.name.split('/').nth(1).unwrap();
+            let space = spaces.iter().find(|s| s["guid"].as_str().unwrap() == guid).unwrap();
+            let side = |c: usize| f64::from(hint.max[c]) - f64::from(hint.min[c]);
+            let p = &hint.polygon;
+            let area = if p.is_empty() {
+                side(0) * side(1)
+            } else {
+                (0..p.len())
+                    .map(|i| {
+                        let ([a, b], [c, d]) = (p[i], p[(i + 1) % p.len()]);
+                        0.5 * (f64::from(a) * f64::from(d) - f64::from(c) * f64::from(b))
+                    })
+                    .sum()
+            };
+            let expected = space["floor_area_mesh_m2"].as_f64().unwrap();
+            assert!((area / expected - 1.0).abs() < 2e-3, "{}: {area} {expected}", hint.name);
+        }
+        let shaped = scene.hints.iter().filter(|h| !h.polygon.is_empty()).count();
+        eprintln!("{name}: {} rooms, {shaped} of them no boxes", scene.hints.len());
     }
 }
