@@ -15,6 +15,16 @@ pub enum SceneError {
         /// What to do.
         remedy: String,
     },
+    /// A temporary file (see [`crate::Spool`]) could not be made, written or read.
+    #[error("{}: a temporary file there failed: {source}; {remedy}", folder.display())]
+    Spool {
+        /// The folder that was to hold it.
+        folder: PathBuf,
+        /// What the system said.
+        source: std::io::Error,
+        /// What to do.
+        remedy: String,
+    },
     /// A line of an OBJ, MTL, TOML or instance file is wrong.
     #[error("{}:{line}: {what}; {remedy}", file.display())]
     Line {
@@ -40,15 +50,20 @@ pub enum SceneError {
 }
 
 impl SceneError {
-    /// The process exit code of the command-line contract for this error: 4, missing or bad input.
+    /// The process exit code of the command-line contract for this error: 4, missing or bad input; 5 for
+    /// temporary files that failed.
     pub fn exit_code(&self) -> u8 {
-        4
+        match self {
+            Self::Spool { .. } => 5,
+            Self::Read { .. } | Self::Line { .. } | Self::File { .. } => 4,
+        }
     }
 
-    /// The file that the error is about.
+    /// The file (or folder of temporary files) that the error is about.
     pub fn file(&self) -> &std::path::Path {
         match self {
             Self::Read { file, .. } | Self::Line { file, .. } | Self::File { file, .. } => file,
+            Self::Spool { folder, .. } => folder,
         }
     }
 

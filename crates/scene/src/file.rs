@@ -105,8 +105,11 @@ pub(crate) enum PointKind {
 #[serde(deny_unknown_fields)]
 pub(crate) struct RoomTable {
     pub(crate) name: Option<String>,
-    pub(crate) min: [f64; 3],
-    pub(crate) max: [f64; 3],
+    pub(crate) min: Option<[f64; 3]>,
+    pub(crate) max: Option<[f64; 3]>,
+    pub(crate) polygon: Option<Vec<[f64; 2]>>,
+    pub(crate) z: Option<[f64; 2]>,
+    pub(crate) file: Option<String>,
 }
 
 #[derive(Deserialize)]

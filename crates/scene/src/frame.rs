@@ -123,7 +123,7 @@ fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
 }
 
 /// The 3 x 4 row-major matrix of a placement in the input's own coordinates.
-fn local_matrix(placement: &[f64], up: Up) -> [f64; 12] {
+pub(crate) fn local_matrix(placement: &[f64], up: Up) -> [f64; 12] {
     if let &[a, b, c, d, e, f, g, h, i, j, k, l] = placement {
         return [a, b, c, d, e, f, g, h, i, j, k, l];
     }

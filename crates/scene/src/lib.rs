@@ -1,17 +1,18 @@
 //! A building goes in, triangles come out.
 //!
-//! In: an OBJ file with its MTL, the same compressed (`.obj.zst`), or a `scene.toml` that places
+//! In: an OBJ file with its MTL, the same compressed (`.obj.zst`), a glTF file, or a `scene.toml` that places
 //! meshes, completes materials and adds lights, cameras and names of rooms (its format is in this
 //! crate's README). Out: [`Scene::for_each_triangle`], a stream of world-space `f32` triangles in an
 //! order that never changes, with materials ([`Material`]) and lights ([`Scene::lights`]) beside it.
 //!
 //! What stays in memory is each *different* mesh once and one placement per instance; a thousand
-//! chairs are one chair and a thousand short rows of numbers. The world is made again on every pass.
+//! chairs are one chair and a thousand short rows of numbers. The world is made again on every pass. Meshes
+//! too large for that wait in temporary files ([`Spool`]).
 //!
 //! ```no_run
 //! let scene = enf_scene::load("house.obj.zst".as_ref(), &enf_scene::LoadOptions::default())?;
 //! let mut area = 0.0;
-//! scene.for_each_triangle(|t| area += f64::from(t.corners[0][2]));
+//! scene.for_each_triangle(|t| area += f64::from(t.corners[0][2]))?;
 //! # Ok::<(), enf_scene::SceneError>(())
 //! ```
 //!
@@ -24,12 +25,14 @@
 //!   warning. So are doors, when they are to be open.
 //! - Front faces are counter-clockwise; a mirroring instance is turned over to keep them so.
 //! - An *object* is an OBJ object (`o`; where there is none, a named `g`) of a mesh listed without
-//!   `instances`, or one instance. A *light* is an object times an emitting material.
+//!   `instances`, a glTF node, or one instance. A *light* is an object times an emitting material.
 
 mod doors;
 mod error;
 mod file;
 mod frame;
+mod gltf;
+mod hints;
 mod input;
 mod lights;
 mod load;
@@ -37,6 +40,7 @@ mod materials;
 mod mtl;
 mod obj;
 mod polygon;
+mod shape;
 mod stream;
 mod views;
 
@@ -51,12 +55,7 @@ use enf_layout::{
     material::MaterialRecord,
     room::ViewRecord,
 };
-use std::{
-    collections::{BTreeMap, BTreeSet},
-    convert::Infallible,
-    ops::Range,
-    path::PathBuf,
-};
+use std::{collections::BTreeMap, ops::Range, path::PathBuf};
 
 /// What becomes of doors.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -69,7 +68,7 @@ pub enum Doors {
 }
 
 /// How to read a scene.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct LoadOptions {
     /// Metres per unit of the input; overrides the scene file (default: 1).
     pub units: Option<f64>,
@@ -77,6 +76,26 @@ pub struct LoadOptions {
     pub up: Option<Up>,
     /// What becomes of doors.
     pub doors: Doors,
+    /// Where large meshes go while they are read; `None`: every mesh stays in memory.
+    pub spool: Option<Spool>,
+    /// Refuse what is otherwise left out or replaced with a warning: faces with fewer than three corners or
+    /// with vertices that are not finite, statements that no OBJ has, free-form surfaces, materials and
+    /// material libraries that are missing.
+    pub strict: bool,
+}
+
+/// A place for meshes that are too large for memory.
+///
+/// Reading, and every pass over the stream, then needs a few MiB beside the names of objects and
+/// materials, however large the file: vertices and triangles are in temporary files that have no name and
+/// vanish with the scene, 24 bytes a vertex and 12 a triangle. Triangles, order, bits and warnings are
+/// those of the mesh in memory.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Spool {
+    /// Where the temporary files are made. On a disk: a file system in memory would defeat the purpose.
+    pub folder: PathBuf,
+    /// Largest mesh, in bytes as [`Scene::resident_bytes`] counts them, that still stays in memory.
+    pub above: u64,
 }
 
 /// A scene, ready to be streamed.
@@ -88,7 +107,7 @@ pub struct Scene {
     pub materials: Vec<Material>,
     /// Cameras, in store coordinates.
     pub views: Vec<View>,
-    /// Boxes that the scene file calls rooms, in store coordinates.
+    /// What the scene file calls rooms, in store coordinates.
     pub hints: Vec<RoomHint>,
     /// What was subtracted from the coordinates before they were rounded to `f32`, m: 0, or, when some
     /// coordinate is beyond 4096 m, the bounds' centre in whole metres.
@@ -108,6 +127,7 @@ pub struct Scene {
     /// (object, material) of the lights whose material is a copy: see [`Scene::lights`].
     copies: BTreeMap<(u32, u32), u32>,
     points: Vec<(String, LightRecord)>,
+    doors: Vec<u32>,
 }
 
 /// A file that was read.
@@ -138,7 +158,7 @@ pub struct View {
     pub record: ViewRecord,
 }
 
-/// A box that the scene's author calls a room, store coordinates, m.
+/// A box or an upright prism that the scene's author calls a room, store coordinates, m.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RoomHint {
     /// Name.
@@ -147,6 +167,10 @@ pub struct RoomHint {
     pub min: [f32; 3],
     /// Upper corner.
     pub max: [f32; 3],
+    /// Footprint: corners (x, y), counter-clockwise seen from above, not crossing itself, without the
+    /// first one again at the end; `min` and `max` are its bounds and the heights of floor and ceiling.
+    /// Empty: the box is the room.
+    pub polygon: Vec<[f32; 2]>,
 }
 
 /// One triangle of the stream.
@@ -186,36 +210,46 @@ impl Scene {
     }
 
     /// Streams all triangles in global order. Keeps nothing: every call makes the world again.
-    pub fn for_each_triangle(&self, f: impl FnMut(SceneTriangle)) {
-        self.for_each_triangle_in(0..u32::MAX, f);
+    ///
+    /// # Errors
+    /// The temporary files of a spooled mesh cannot be read ([`Spool`]); without any there is none.
+    pub fn for_each_triangle(&self, f: impl FnMut(SceneTriangle)) -> Result<(), SceneError> {
+        self.for_each_triangle_in(0..u32::MAX, f)
     }
 
-    /// Streams the triangles whose index is in the range; work before it is skipped instance by
-    /// instance, so that threads can share a scene.
-    pub fn for_each_triangle_in(&self, range: Range<u32>, mut f: impl FnMut(SceneTriangle)) {
-        let done: Result<(), Infallible> = self.walk(range, |t| {
+    /// Streams the triangles whose index is in the range; work before it is skipped, by instances and by
+    /// pieces of 65,536 triangles, so that threads can share a scene.
+    ///
+    /// # Errors
+    /// As [`Scene::for_each_triangle`].
+    pub fn for_each_triangle_in(
+        &self,
+        range: Range<u32>,
+        mut f: impl FnMut(SceneTriangle),
+    ) -> Result<(), SceneError> {
+        self.walk(range, |t| {
             f(t);
             Ok(())
-        });
-        match done {
-            Ok(()) => {}
-        }
+        })
     }
 
     /// Streams all triangles in global order until `f` fails; returns its error.
-    pub fn try_for_each_triangle<E>(
+    ///
+    /// # Errors
+    /// What `f` returns, or what [`Scene::for_each_triangle`] does.
+    pub fn try_for_each_triangle<E: From<SceneError>>(
         &self,
         f: impl FnMut(SceneTriangle) -> Result<(), E>,
     ) -> Result<(), E> {
         self.walk(0..u32::MAX, f)
     }
 
-    fn walk<E>(
+    fn walk<E: From<SceneError>>(
         &self,
         range: Range<u32>,
         mut f: impl FnMut(SceneTriangle) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut scratch = Vec::new();
+        let mut scratch = stream::Scratch::default();
         let uses = &self.geometry.uses;
         for (u, used) in uses.iter().enumerate() {
             let end = uses.get(u + 1).and_then(|n| n.first.first().copied());
@@ -228,11 +262,19 @@ impl Scene {
                 if index >= range.end {
                     return Ok(());
                 }
-                let placed = self.geometry.place(used, i, &mut scratch);
+                // The last mark at or before the range: all that lies before it is skipped.
+                let marks = used.marks_of(i);
+                let mark = marks.partition_point(|&m| m <= range.start);
+                let skip = mark as u32 * stream::MARK_EVERY;
+                if mark > 0 {
+                    index = marks[mark - 1];
+                }
+                let mut placed = self.geometry.place(used, i, &mut scratch);
                 for run in self.geometry.runs(used, i) {
+                    let run = run?;
                     let material = self.material_of(run.object, run.material);
-                    for t in run.triangles {
-                        let Ok(corners) = placed.corners(t) else { continue };
+                    for t in run.triangles.start.max(skip)..run.triangles.end {
+                        let Ok(corners) = placed.corners(t)? else { continue };
                         if index >= range.end {
                             return Ok(());
                         }
@@ -270,16 +312,7 @@ impl Scene {
 
     /// Objects recognised as doors, ascending; with [`Doors::Open`], those that were left out.
     pub fn door_objects(&self) -> Vec<u32> {
-        let mut doors = BTreeSet::new();
-        for used in &self.geometry.uses {
-            for part in &self.geometry.meshes[used.mesh].parts {
-                if used.is_door(part) {
-                    let instances = if used.whole { used.placements.len() } else { 1 };
-                    doors.extend((0..instances).map(|i| used.object(i, part)));
-                }
-            }
-        }
-        doors.into_iter().collect()
+        self.doors.clone()
     }
 
     /// The scene's lights: each object times each of its emitting materials, then the points.
@@ -288,26 +321,50 @@ impl Scene {
     /// gives the flux of each light, and lights of one material have different areas, they have copies
     /// of the material with a radiance each. Lights without area are left out. May be empty: a scene
     /// without light is the caller's to refuse.
-    pub fn lights(&self) -> Lights {
+    ///
+    /// An emitting face that is in a light twice (the same three corners, the same front, whatever the
+    /// vertices are called) emits once.
+    ///
+    /// # Errors
+    /// As [`Scene::for_each_triangle`].
+    pub fn lights(&self) -> Result<Lights, SceneError> {
         let emits: Vec<bool> =
             self.materials.iter().map(|m| m.record.emission.iter().any(|&v| v > 0.0)).collect();
         let mut found = Vec::new();
-        let mut scratch = Vec::new();
+        let mut scratch = stream::Scratch::default();
         for used in &self.geometry.uses {
             if !used.materials.iter().any(|&m| emits[m as usize]) {
                 continue;
             }
+            let mut add = |object, material, index, corners| {
+                let material = self.material_of(object, material);
+                if emits[material as usize] {
+                    found.push(lights::Emitting { object, material, index, corners });
+                }
+            };
+            for glowing in used.glowing.chunk_by(|a, b| a.instance == b.instance) {
+                let mut placed =
+                    self.geometry.place(used, glowing[0].instance as usize, &mut scratch);
+                for g in glowing {
+                    let mut index = g.index;
+                    for t in g.begin..g.end {
+                        let Ok(corners) = placed.corners(t)? else { continue };
+                        add(g.object, g.material, index, corners);
+                        index += 1;
+                    }
+                }
+            }
+            if self.geometry.is_spooled(used) {
+                continue;
+            }
             for (i, &first) in used.first.iter().enumerate() {
                 let mut index = first;
-                let placed = self.geometry.place(used, i, &mut scratch);
+                let mut placed = self.geometry.place(used, i, &mut scratch);
                 for run in self.geometry.runs(used, i) {
-                    let material = self.material_of(run.object, run.material);
+                    let run = run?;
                     for t in run.triangles {
-                        let Ok(corners) = placed.corners(t) else { continue };
-                        if emits[material as usize] {
-                            let object = run.object;
-                            found.push(lights::Emitting { object, material, index, corners });
-                        }
+                        let Ok(corners) = placed.corners(t)? else { continue };
+                        add(run.object, run.material, index, corners);
                         index += 1;
                     }
                 }
@@ -318,16 +375,24 @@ impl Scene {
             lights.records.push(*record);
             lights.names.push(name.clone());
         }
-        lights
+        Ok(lights)
     }
 
-    /// Heap bytes that this scene keeps. A pass over the stream adds 768 KiB at most.
+    /// Heap bytes that this scene keeps: placements, names, and the meshes that are in memory. A pass over
+    /// the stream adds 768 KiB at most, with spooled meshes 4 MiB (and 2 bytes for every 1024 vertices of
+    /// the largest).
     pub fn resident_bytes(&self) -> u64 {
         let names: usize = self.materials.iter().map(|m| m.name.capacity()).sum();
         let lists = self.materials.capacity() * size_of::<Material>()
             + self.points.capacity() * size_of::<(String, LightRecord)>()
             + self.views.capacity() * size_of::<View>()
             + self.hints.capacity() * size_of::<RoomHint>()
+            + self
+                .hints
+                .iter()
+                .map(|h| h.name.capacity() + h.polygon.capacity() * 8)
+                .sum::<usize>()
+            + self.doors.capacity() * 4
             + self.copies.len() * 32;
         self.geometry.bytes() + (names + lists) as u64
     }

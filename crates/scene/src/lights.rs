@@ -6,7 +6,12 @@ use enf_layout::{
     light::{EmitterRecord, LIGHT_AREA, LightRecord},
 };
 use glam::DVec3;
-use std::{collections::BTreeMap, f64::consts::PI, path::Path};
+use std::{
+    collections::{BTreeMap, HashSet},
+    f64::consts::PI,
+    path::Path,
+};
+use zerocopy::IntoBytes;
 
 /// Lights whose areas differ by less than this share one material (rounding of turned instances).
 const SAME_AREA: f64 = 1e-4;
@@ -24,7 +29,16 @@ pub(crate) fn area(corners: &[[f32; 3]; 3]) -> f64 {
     0.5 * area_vector(corners).length()
 }
 
-/// Gathers area lights: ascending by object, then material; emitters by triangle.
+/// What tells faces apart: a hash of the corners, the same whichever corner is the first.
+pub(crate) fn face_key(corners: &[[f32; 3]; 3]) -> u128 {
+    let mut bits = corners.map(|p| p.map(f32::to_bits));
+    let least = (0..3).min_by_key(|&i| bits[i]).unwrap_or(0);
+    bits.rotate_left(least);
+    xxhash_rust::xxh3::xxh3_128(bits.as_bytes())
+}
+
+/// Gathers area lights: ascending by object, then material; emitters by triangle. Of faces that are there
+/// twice, the first emits.
 pub(crate) fn gather(
     mut found: Vec<Emitting>,
     materials: &[Material],
@@ -32,6 +46,9 @@ pub(crate) fn gather(
 ) -> Lights {
     found.sort_by_key(|e| (e.object, e.material, e.index));
     let mut lights = Lights::default();
+    let mut faces = HashSet::new();
+    found.retain(|e| faces.insert((e.object, e.material, face_key(&e.corners))));
+    drop(faces);
     for group in found.chunk_by(|a, b| (a.object, a.material) == (b.object, b.material)) {
         let (object, material) = (group[0].object, group[0].material);
         let first_emitter = lights.emitters.len() as u32;

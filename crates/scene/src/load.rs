@@ -2,22 +2,23 @@
 //! will hold.
 
 use crate::{
-    Doors, Frame, InputFile, LoadOptions, Material, RoomHint, Scene, SceneError, Up,
+    Doors, Frame, InputFile, LoadOptions, Material, Scene, SceneError, Up,
     file::{self, MaterialTable, Parsed, PointKind, SceneFile},
-    frame::Placements,
-    lights, materials,
+    frame::{Placements, local_matrix},
+    gltf, hints, lights, materials,
     mtl::{self, Spec},
     obj::{self, Mesh},
-    stream::{Geometry, Skipped, Use},
+    shape::{Lookup, Part, Position},
+    stream::{Geometry, Glowing, MARK_EVERY, Scratch, Skipped, Use},
     views,
 };
 use enf_layout::{
     NONE,
     light::{LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord},
 };
-use glam::{DVec3, Vec3};
+use glam::{DMat3, DMat4, DVec3, DVec4, Vec3};
 use std::{
-    collections::{BTreeMap, BTreeSet},
+    collections::{BTreeMap, BTreeSet, HashSet},
     path::{Path, PathBuf},
 };
 use toml::Spanned;
@@ -31,7 +32,7 @@ const SUSPICIOUS: f64 = 5e3;
 /// Name of what has no material.
 const UNNAMED: &str = "unnamed";
 
-/// Reads a scene: `.obj`, `.obj.zst` or `.toml`.
+/// Reads a scene: `.obj`, `.obj.zst`, `.gltf`, `.glb` or `.toml`.
 ///
 /// Errors name the file, the line or object, and a remedy: files that are missing, damaged or of
 /// another kind; faces that use vertices that are not there; unknown keys; a scene without any
@@ -50,9 +51,20 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
     }
     if kind.ends_with(".toml") {
         from_toml(path, options)
+    } else if is_gltf(path) {
+        let mut loader = Loader::default();
+        if options.up.is_some() {
+            loader
+                .warnings
+                .push(format!("{}: --up is ignored: in glTF files y points up", path.display()));
+        }
+        let model = loader.model(path, options)?;
+        let frame = Frame { units: options.units.unwrap_or(1.0), up: Up::Y, origin: [0.0; 3] };
+        loader.place_model(model, &Listed::alone(), &Frame { units: 1.0, ..frame })?;
+        loader.finish(path, stem(path), frame, options, None)
     } else if kind.ends_with(".obj") || kind.ends_with(".obj.zst") {
         let mut loader = Loader::default();
-        let mesh = loader.mesh(path)?;
+        let mesh = loader.mesh(path, options)?;
         loader.uses.push(Placing {
             mesh,
             name: stem(path),
@@ -71,7 +83,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
         Err(SceneError::whole(
             path,
             "is no kind of scene that is read here",
-            "give a .obj, a .obj.zst or a scene file that ends in .toml",
+            "give a .obj, a .obj.zst, a .gltf, a .glb or a scene file that ends in .toml",
         ))
     }
 }
@@ -80,13 +92,19 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
 fn stem(path: &Path) -> String {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let mut name = &*name;
-    for end in [".zst", ".obj", ".toml"] {
+    for end in [".zst", ".obj", ".gltf", ".glb", ".toml"] {
         let cut = name.len().saturating_sub(end.len());
         if name.get(cut..).is_some_and(|e| e.eq_ignore_ascii_case(end)) {
             name = &name[..cut];
         }
     }
     if file::name_problem(name).is_some() { "scene".into() } else { name.into() }
+}
+
+/// True for `.gltf` and `.glb`.
+fn is_gltf(path: &Path) -> bool {
+    path.extension()
+        .is_some_and(|e| e.eq_ignore_ascii_case("gltf") || e.eq_ignore_ascii_case("glb"))
 }
 
 /// A `[[mesh]]` before its materials are known.
@@ -110,22 +128,155 @@ struct Loader {
     uses: Vec<Placing>,
     inputs: Vec<InputFile>,
     warnings: Vec<String>,
+    /// glTF files, and the number of their first mesh.
+    models: Vec<(gltf::Model, usize)>,
+    models_by_path: BTreeMap<PathBuf, usize>,
+    /// What glTF files hold beside meshes, in the coordinates of the scene's input.
+    lights: Vec<gltf::Light>,
+    cameras: Vec<gltf::Camera>,
+    rooms: Vec<gltf::Room>,
+}
+
+/// What a `[[mesh]]` says about a glTF file.
+struct Listed {
+    /// Its name, if it is placed by `instances`.
+    name: Option<String>,
+    placements: Placements,
+    door: Option<bool>,
+    remap: BTreeMap<String, String>,
+}
+
+impl Listed {
+    fn alone() -> Self {
+        Self { name: None, placements: Placements::identity(), door: None, remap: BTreeMap::new() }
+    }
 }
 
 impl Loader {
+    /// Reads a glTF file, once.
+    fn model(&mut self, path: &Path, options: &LoadOptions) -> Result<usize, SceneError> {
+        let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
+        if let Some(&model) = self.models_by_path.get(&key) {
+            return Ok(model);
+        }
+        let mut model = gltf::read(path, options)?;
+        let first = self.meshes.len();
+        self.inputs.append(&mut model.inputs);
+        self.warnings.append(&mut model.warnings);
+        self.libraries.insert(path.into(), std::mem::take(&mut model.materials));
+        for mut mesh in std::mem::take(&mut model.meshes) {
+            self.warnings.append(&mut mesh.warnings);
+            self.meshes.push(mesh);
+            self.mesh_libraries.push(vec![path.into()]);
+        }
+        self.models.push((model, first));
+        self.models_by_path.insert(key, self.models.len() - 1);
+        Ok(self.models.len() - 1)
+    }
+
+    /// Places the nodes of a glTF file in the coordinates of the scene's input, which `frame` describes.
+    fn place_model(
+        &mut self,
+        model: usize,
+        listed: &Listed,
+        frame: &Frame,
+    ) -> Result<(), SceneError> {
+        let (model, first) = &self.models[model];
+        // From y up and metres to the input's.
+        let turn = match frame.up {
+            Up::Y => DMat3::IDENTITY,
+            Up::Z => DMat3::from_cols(DVec3::X, DVec3::Z, DVec3::NEG_Y),
+        };
+        let into = DMat4::from_mat3(turn * (1.0 / frame.units));
+        for node in &model.placed {
+            let mut placements = Placements::default();
+            for i in 0..listed.placements.len() {
+                let m = local_matrix(listed.placements.get(i), frame.up);
+                let rows: [DVec4; 4] = [
+                    DVec4::from_slice(&m[0..4]),
+                    DVec4::from_slice(&m[4..8]),
+                    DVec4::from_slice(&m[8..12]),
+                    DVec4::W,
+                ];
+                let place = DMat4::from_cols_array_2d(&rows.map(|r| r.to_array())).transpose();
+                let world = (place * into * node.world).transpose();
+                let mut numbers = [0.0; 12];
+                for (row, out) in numbers.chunks_exact_mut(4).enumerate() {
+                    out.copy_from_slice(&world.col(row).to_array());
+                }
+                placements.push(&numbers).map_err(|e| {
+                    SceneError::whole(
+                        &self.meshes[first + node.mesh].file,
+                        format!("the node \"{}\" cannot be placed: {e}", node.name),
+                        "correct the scales of the nodes, or --units",
+                    )
+                })?;
+            }
+            placements.shrink();
+            let name = match &listed.name {
+                Some(name) => format!("{name}/{}", node.name),
+                None => node.name.clone(),
+            };
+            self.uses.push(Placing {
+                mesh: first + node.mesh,
+                door: listed.door.or(crate::doors::is_door(&name).then_some(true)),
+                name,
+                placements,
+                whole: true,
+                remap: listed.remap.clone(),
+            });
+        }
+        if listed.name.is_some() {
+            if !(model.lights.is_empty() && model.cameras.is_empty() && model.rooms.is_empty()) {
+                self.warnings.push(format!(
+                    "\"{}\": point lights, cameras and rooms of a glTF file that is placed by \
+                     instances are left out",
+                    listed.name.as_deref().unwrap_or_default()
+                ));
+            }
+            return Ok(());
+        }
+        let at = |p: DVec3| into.transform_point3(p);
+        self.lights.extend(model.lights.iter().map(|l| gltf::Light {
+            name: l.name.clone(),
+            position: at(l.position),
+            flux: l.flux,
+        }));
+        self.cameras.extend(model.cameras.iter().map(|c| gltf::Camera {
+            name: c.name.clone(),
+            eye: at(c.eye),
+            ahead: turn * c.ahead,
+            up: turn * c.up,
+            fov: c.fov,
+        }));
+        self.rooms.extend(model.rooms.iter().map(|r| gltf::Room {
+            name: r.name.clone(),
+            triangles: r.triangles.iter().map(|t| t.map(at)).collect(),
+        }));
+        Ok(())
+    }
+
     /// Reads a mesh and its MTL files, once.
-    fn mesh(&mut self, path: &Path) -> Result<usize, SceneError> {
+    fn mesh(&mut self, path: &Path, options: &LoadOptions) -> Result<usize, SceneError> {
         let key = std::fs::canonicalize(path).unwrap_or_else(|_| path.into());
         if let Some(&mesh) = self.by_path.get(&key) {
             return Ok(mesh);
         }
-        let (mut mesh, input) = obj::read(path)?;
+        let (mut mesh, input) = obj::read(path, options)?;
         self.inputs.push(input);
         self.warnings.append(&mut mesh.warnings);
         let mut libraries = Vec::new();
         for (library, line) in &mesh.libraries {
             let found = find_libraries(path, library);
             if found.is_empty() {
+                if options.strict {
+                    return Err(SceneError::line(
+                        path,
+                        *line,
+                        format!("the material library \"{library}\" is missing"),
+                        "put it beside the OBJ file, or do without --strict",
+                    ));
+                }
                 self.warnings.push(format!(
                     "{}:{line}: the material library \"{library}\" is missing; put it beside the \
                      OBJ file",
@@ -185,25 +336,30 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
         }
         None => stem(path),
     };
+    let frame = Frame {
+        units: options.units.or(scene.units.map(|u| u.0)).unwrap_or(1.0),
+        up: options.up.or(scene.up).unwrap_or_default(),
+        origin: [0.0; 3],
+    };
     let folder = path.parent().unwrap_or(Path::new(""));
     if scene.mesh.is_empty() {
         return Err(SceneError::whole(
             path,
             "no [[mesh]] in it",
-            "name at least one OBJ file: [[mesh]] file = \"building.obj\"",
+            "name at least one model: [[mesh]] file = \"building.obj\"",
         ));
     }
     for at in &scene.mesh {
         let table = at.get_ref();
         let kind = table.file.to_ascii_lowercase();
-        if !(kind.ends_with(".obj") || kind.ends_with(".obj.zst")) {
+        let file = folder.join(&table.file);
+        if !(kind.ends_with(".obj") || kind.ends_with(".obj.zst") || is_gltf(&file)) {
             return Err(parsed.error(
                 at,
-                format!("mesh \"{}\" is no OBJ file", table.file),
-                "give a .obj or .obj.zst",
+                format!("mesh \"{}\" is no OBJ or glTF file", table.file),
+                "give a .obj, .obj.zst, .gltf or .glb",
             ));
         }
-        let file = folder.join(&table.file);
         if !file.exists() {
             return Err(parsed.error(
                 at,
@@ -211,7 +367,6 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
                 "file names are relative to the scene file",
             ));
         }
-        let mesh = loader.mesh(&file)?;
         let from_file = match &table.instances_file {
             Some(_) if table.instances.is_some() => {
                 return Err(parsed.error(
@@ -232,8 +387,20 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
             from_file.or_else(|| table.instances.clone()).unwrap_or_else(Placements::identity);
         placements.shrink();
         let name = table.name.clone().unwrap_or_else(|| stem(&file));
+        let model = if is_gltf(&file) { Some(loader.model(&file, options)?) } else { None };
+        let meshes = match model {
+            Some(model) => {
+                let (model, first) = &loader.models[model];
+                let count = model.placed.iter().map(|p| p.mesh + 1).max().unwrap_or(0);
+                *first..*first + count
+            }
+            None => {
+                let mesh = loader.mesh(&file, options)?;
+                mesh..mesh + 1
+            }
+        };
         for from in table.remapped() {
-            let known = loader.meshes[mesh].materials.iter();
+            let known = loader.meshes[meshes.clone()].iter().flat_map(|m| &m.materials);
             if !known.map(|m| m.as_deref().unwrap_or(UNNAMED)).any(|m| m == from) {
                 loader.warnings.push(format!(
                     "{}: mesh \"{name}\" has no material \"{from}\" to replace",
@@ -241,16 +408,22 @@ fn from_toml(path: &Path, options: &LoadOptions) -> Result<Scene, SceneError> {
                 ));
             }
         }
+        if let Some(model) = model {
+            let listed = Listed {
+                name: whole.then_some(name),
+                placements,
+                door: table.door,
+                remap: table.materials.clone(),
+            };
+            loader.place_model(model, &listed, &frame)?;
+            continue;
+        }
+        let mesh = meshes.start;
         // A mesh that is placed as a whole may be a door by its own name.
         let door = table.door.or((whole && crate::doors::is_door(&name)).then_some(true));
         let remap = table.materials.clone();
         loader.uses.push(Placing { mesh, name, placements, whole, door, remap });
     }
-    let frame = Frame {
-        units: options.units.or(scene.units.map(|u| u.0)).unwrap_or(1.0),
-        up: options.up.or(scene.up).unwrap_or_default(),
-        origin: [0.0; 3],
-    };
     loader.finish(path, name, frame, options, Some(&parsed))
 }
 
@@ -313,6 +486,7 @@ impl Loader {
         &mut self,
         path: &Path,
         parsed: Option<&Parsed<SceneFile>>,
+        strict: bool,
     ) -> Result<(Table, Vec<Vec<u32>>), SceneError> {
         let mut overrides: BTreeMap<&str, &Spanned<MaterialTable>> = BTreeMap::new();
         for at in parsed.iter().flat_map(|p| &p.value.material) {
@@ -364,6 +538,14 @@ impl Loader {
             per_use.push(ids);
         }
         for (mesh, names) in missing {
+            if strict {
+                return Err(SceneError::whole(
+                    &self.meshes[mesh].file,
+                    format!("no definition of material {}", some_names(&names)),
+                    "add it to the MTL file, or as a [[material]] to a scene file, or do without \
+                     --strict",
+                ));
+            }
             self.warnings.push(format!(
                 "{}: no definition of material {}; grey {} is used: add it to the MTL file, or as a \
                  [[material]] to a scene file",
@@ -373,8 +555,16 @@ impl Loader {
             ));
         }
         for mesh in bare {
+            if strict {
+                return Err(SceneError::whole(
+                    &self.meshes[mesh].file,
+                    "some faces have no material",
+                    "give them one, or define \"unnamed\" as a [[material]] of a scene file, or do \
+                     without --strict",
+                ));
+            }
             self.warnings.push(format!(
-                "{}: some faces have no material (usemtl); grey {} is used",
+                "{}: some faces have no material; grey {} is used",
                 self.meshes[mesh].file.display(),
                 materials::DEFAULT_GREY
             ));
@@ -424,8 +614,8 @@ impl Loader {
         options: &LoadOptions,
         parsed: Option<&Parsed<SceneFile>>,
     ) -> Result<Scene, SceneError> {
-        let (mut table, per_use) = self.resolve(path, parsed)?;
-        self.split_components(&table, &per_use);
+        let (mut table, per_use) = self.resolve(path, parsed, options.strict)?;
+        self.split_components(&table, &per_use)?;
 
         let mut uses = Vec::with_capacity(self.uses.len());
         let mut objects = 0u64;
@@ -439,6 +629,8 @@ impl Loader {
                 first_object: objects as u32,
                 materials,
                 first: Vec::new(),
+                marks: Vec::new(),
+                glowing: Vec::new(),
             };
             objects += used.objects(&self.meshes) as u64;
             if objects >= u64::from(NONE) {
@@ -459,9 +651,34 @@ impl Loader {
             ));
         }
         let measured = measure(&mut geometry, path, |material| table.emits(material))?;
-        let points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
-        let views = parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
-        let hints = parsed.map_or(Ok(Vec::new()), |p| room_hints(p, &frame))?;
+        let mut points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
+        for light in self.lights {
+            let position = frame.point(light.position.to_array());
+            let down = [0.0, 0.0, -1.0];
+            points.push((light.name, lights::point(LIGHT_POINT, position, down, light.flux)));
+        }
+        let mut views =
+            parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
+        for camera in &self.cameras {
+            views::add_camera(&mut views, camera, &frame);
+        }
+        let mut hints = Vec::new();
+        if let Some(p) = parsed {
+            let folder = path.parent().unwrap_or(Path::new(""));
+            let (rooms, mut files) = hints::build(p, folder, &frame, &mut warnings)?;
+            hints = rooms;
+            self.inputs.append(&mut files);
+        }
+        for room in &self.rooms {
+            match hints::of_solid(&room.name, &room.triangles, &frame) {
+                Some(hint) => hints.push(hint),
+                None => warnings.push(format!(
+                    "{}: the room \"{}\" has no volume: no hint",
+                    path.display(),
+                    room.name
+                )),
+            }
+        }
 
         if let Some((object, corners)) = measured.first_flat {
             warnings.push(format!(
@@ -471,12 +688,31 @@ impl Loader {
                 object_name(&geometry, object)
             ));
         }
-        if let Some(object) = measured.first_not_finite {
+        if let Some((object, at)) = measured.first_not_finite {
+            if options.strict {
+                let what = format!(
+                    "a face of \"{}\" uses vertex {}, which is not finite",
+                    object_name(&geometry, object),
+                    u64::from(at.vertex) + 1
+                );
+                let remedy = "correct the vertex, or do without --strict";
+                return Err(match at.line {
+                    Some(line) => SceneError::line(&at.file, line, what, remedy),
+                    None => SceneError::whole(&at.file, what, remedy),
+                });
+            }
             warnings.push(format!(
                 "{}: {} triangles with vertices that are not finite are left out (first in \"{}\")",
                 path.display(),
                 measured.not_finite,
                 object_name(&geometry, object)
+            ));
+        }
+        if measured.twice > 0 {
+            warnings.push(format!(
+                "{}: {} emitting faces are there twice; the second does not emit",
+                path.display(),
+                measured.twice
             ));
         }
         let dark = measured.areas.values().filter(|&&a| a == 0.0).count();
@@ -498,6 +734,7 @@ impl Loader {
                 path.display()
             ));
         }
+        let doors = door_objects(&geometry)?;
         let copies = lights::set_power(&mut table.materials, &table.power, &measured.areas, path)?;
         Ok(Scene {
             name,
@@ -514,12 +751,13 @@ impl Loader {
             skipped: measured.flat + measured.not_finite,
             copies,
             points,
+            doors,
         })
     }
 
     /// Faces outside every object: those that emit become one object for each connected component, so
     /// that each is a light of its own.
-    fn split_components(&mut self, table: &Table, per_use: &[Vec<u32>]) {
+    fn split_components(&mut self, table: &Table, per_use: &[Vec<u32>]) -> Result<(), SceneError> {
         for (m, mesh) in self.meshes.iter_mut().enumerate() {
             let Some(unnamed) = mesh.objects.iter().position(Option::is_none) else { continue };
             let emits = |local: u32| {
@@ -530,36 +768,51 @@ impl Loader {
             let emitting: Vec<u32> =
                 (0..mesh.materials.len() as u32).filter(|&l| emits(l)).collect();
             for local in emitting {
-                split(mesh, unnamed as u32, local);
+                split(mesh, unnamed as u32, local)?;
             }
         }
+        Ok(())
     }
 }
 
 /// Gives each connected component of a mesh's triangles of one object and material an object of its
 /// own. Vertices at one place are one vertex.
-fn split(mesh: &mut Mesh, object: u32, material: u32) {
-    let mut chosen = Vec::new();
-    let mut begin = 0;
-    for part in &mesh.parts {
+fn split(mesh: &mut Mesh, object: u32, material: u32) -> Result<(), SceneError> {
+    let Mesh { shape, objects, materials, .. } = mesh;
+    let mut lookup = Lookup::<Position>::default();
+    // The corners' places, triangle by triangle.
+    let mut corners: Vec<u32> = Vec::new();
+    for part in shape.parts() {
+        let (part, triangles) = part?;
         if (part.object, part.material) == (object, material) {
-            chosen.extend(begin..part.end);
+            for t in triangles {
+                corners.extend(lookup.triangle(shape, t)?);
+            }
         }
-        begin = part.end;
     }
-    let key = |v: u32| (mesh.positions[v as usize] + DVec3::ZERO).to_array().map(f64::to_bits);
-    let mut vertices: Vec<u32> = chosen.iter().flat_map(|&t| mesh.triangles[t as usize]).collect();
-    vertices.sort_unstable_by_key(|&v| (key(v), v));
+    let mut vertices = corners.clone();
+    vertices.sort_unstable();
     vertices.dedup();
+    let mut keyed: Vec<([u64; 3], u32)> = Vec::with_capacity(vertices.len());
+    for &v in &vertices {
+        // One zero only.
+        keyed.push((lookup.vertex(shape, v, |p| p)?.map(|c| (c + 0.0).to_bits()), v));
+    }
+    keyed.sort_unstable();
     // Places: equal positions share a number.
-    let mut place_of: BTreeMap<u32, u32> = BTreeMap::new();
+    let mut place_of = vec![0u32; vertices.len()];
     let mut places = 0u32;
-    for (i, &v) in vertices.iter().enumerate() {
-        if i > 0 && key(vertices[i - 1]) != key(v) {
+    for (i, (key, v)) in keyed.iter().enumerate() {
+        if i > 0 && keyed[i - 1].0 != *key {
             places += 1;
         }
-        place_of.insert(v, places);
+        place_of[vertices.partition_point(|w| w < v)] = places;
     }
+    drop(keyed);
+    for c in &mut corners {
+        *c = place_of[vertices.partition_point(|w| w < c)];
+    }
+    drop((vertices, place_of));
     let mut parent: Vec<u32> = (0..=places).collect();
     fn root(parent: &mut [u32], mut i: u32) -> u32 {
         while parent[i as usize] != i {
@@ -568,44 +821,64 @@ fn split(mesh: &mut Mesh, object: u32, material: u32) {
         }
         i
     }
-    for &t in &chosen {
-        let [a, b, c] = mesh.triangles[t as usize].map(|v| place_of[&v]);
-        for (p, q) in [(a, b), (b, c)] {
+    for t in corners.chunks_exact(3) {
+        for (p, q) in [(t[0], t[1]), (t[1], t[2])] {
             let (p, q) = (root(&mut parent, p), root(&mut parent, q));
             parent[p.max(q) as usize] = p.min(q);
         }
     }
-    let label = mesh.materials[material as usize].clone();
+    let label = materials[material as usize].clone();
     let label = label.as_deref().unwrap_or(UNNAMED).to_string();
     let mut component: BTreeMap<u32, u32> = BTreeMap::new();
-    let mut parts = Vec::with_capacity(mesh.parts.len());
-    let mut begin = 0;
-    for part in std::mem::take(&mut mesh.parts) {
+    let mut next = 0;
+    shape.rewrite_parts(|_, part, triangles, parts| {
         if (part.object, part.material) != (object, material) {
             parts.push(part);
-            begin = part.end;
-            continue;
+            return Ok(());
         }
-        for t in begin..part.end {
-            let at = root(&mut parent, place_of[&mesh.triangles[t as usize][0]]);
+        for t in triangles {
+            let at = root(&mut parent, corners[next]);
+            next += 3;
             let number = component.len() as u32 + 1;
             let own = *component.entry(at).or_insert_with(|| {
-                mesh.objects.push(Some(format!("{label} {number}")));
-                mesh.objects.len() as u32 - 1
+                objects.push(Some(format!("{label} {number}")));
+                objects.len() as u32 - 1
             });
             match parts.last_mut() {
-                Some(obj::Part { end, object, material, .. })
+                Some(Part { end, object, material, .. })
                     if (*object, *material, *end) == (own, part.material, t) =>
                 {
                     *end = t + 1;
                 }
-                _ => parts.push(obj::Part { end: t + 1, object: own, ..part }),
+                _ => parts.push(Part { end: t + 1, object: own, ..part }),
             }
         }
-        begin = part.end;
+        Ok(())
+    })
+}
+
+/// Objects recognised as doors, ascending.
+fn door_objects(geometry: &Geometry) -> Result<Vec<u32>, SceneError> {
+    let mut doors = Vec::new();
+    for used in &geometry.uses {
+        if used.door == Some(false) {
+            continue;
+        }
+        for part in geometry.meshes[used.mesh].shape.parts() {
+            let (part, _) = part?;
+            if used.is_door(&part) {
+                let instances = if used.whole { used.placements.len() } else { 1 };
+                doors.extend((0..instances).map(|i| used.object(i, &part)));
+                if used.whole {
+                    break;
+                }
+            }
+        }
     }
-    parts.shrink_to_fit();
-    mesh.parts = parts;
+    doors.sort_unstable();
+    doors.dedup();
+    doors.shrink_to_fit();
+    Ok(doors)
 }
 
 /// Name of an object: the OBJ file's, or the mesh's with the number of the instance.
@@ -652,19 +925,23 @@ fn scene_origin(geometry: &Geometry, path: &Path) -> Result<[f64; 3], SceneError
     }
     // The boxes are larger than what is in them: now exactly.
     let (mut lo, mut hi) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let mut lookup = Lookup::<DVec3>::default();
     for used in &geometry.uses {
-        let mesh = &geometry.meshes[used.mesh];
+        let shape = &geometry.meshes[used.mesh].shape;
+        lookup.reset();
         for i in 0..used.placements.len() {
             let matrix = geometry.frame.matrix(used.placements.get(i));
-            for &v in mesh.triangles.iter().flatten() {
-                let p = matrix.world(mesh.positions[v as usize]);
-                if p.abs().max_element() <= f64::from(f32::MAX) {
-                    (lo, hi) = (lo.min(p), hi.max(p));
+            for t in 0..shape.triangles() as u32 {
+                for v in lookup.triangle(shape, t)? {
+                    let p = matrix.world(lookup.vertex(shape, v, DVec3::from_array)?);
+                    if p.abs().max_element() <= f64::from(f32::MAX) {
+                        (lo, hi) = (lo.min(p), hi.max(p));
+                    }
                 }
             }
         }
     }
-    if lo.abs().max(hi.abs()).max_element() <= FAR {
+    if lo.x > hi.x || lo.abs().max(hi.abs()).max_element() <= FAR {
         return Ok([0.0; 3]);
     }
     check_size((hi - lo).length(), path)?;
@@ -691,9 +968,32 @@ struct Measured {
     flat: u64,
     first_flat: Option<(u32, [f32; 3])>,
     not_finite: u64,
-    first_not_finite: Option<u32>,
+    first_not_finite: Option<(u32, BadVertex)>,
+    /// Emitting faces that an object's light already has.
+    twice: u64,
     /// Area of each (object, emitting material), m².
     areas: BTreeMap<(u32, u32), f64>,
+}
+
+/// A vertex that is not finite, and where it stands.
+struct BadVertex {
+    file: PathBuf,
+    vertex: u32,
+    line: Option<usize>,
+}
+
+/// The vertex of a triangle that is not finite: the first that the reader noted.
+fn bad_vertex(mesh: &Mesh, vertices: [u32; 3]) -> BadVertex {
+    let line_of = |v: u32| {
+        let at = mesh.not_finite.binary_search_by_key(&v, |n| n.0).ok()?;
+        Some(mesh.not_finite[at].1)
+    };
+    let known = vertices.into_iter().find_map(|v| Some((v, line_of(v)?)));
+    BadVertex {
+        file: mesh.file.clone(),
+        vertex: known.map_or(vertices[0], |k| k.0),
+        line: known.map(|k| k.1),
+    }
 }
 
 fn measure(
@@ -708,21 +1008,44 @@ fn measure(
         first_flat: None,
         not_finite: 0,
         first_not_finite: None,
+        twice: 0,
         areas: BTreeMap::new(),
     };
     let (mut lo, mut hi) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-    let mut firsts = Vec::with_capacity(geometry.uses.len());
-    let mut scratch = Vec::new();
+    let mut noted = Vec::with_capacity(geometry.uses.len());
+    let mut scratch = Scratch::default();
+    let mut faces: HashSet<(u32, u32, u128)> = HashSet::new();
     for used in &geometry.uses {
+        let mesh = &geometry.meshes[used.mesh];
+        let spooled = geometry.is_spooled(used);
+        let marks_each =
+            (mesh.shape.triangles().saturating_sub(1) / u64::from(MARK_EVERY)) as usize;
         let mut first = Vec::with_capacity(used.placements.len());
+        let mut marks = Vec::with_capacity(used.placements.len() * marks_each);
+        let mut glowing = Vec::new();
         for i in 0..used.placements.len() {
             first.push(m.count as u32);
-            let placed = geometry.place(used, i, &mut scratch);
+            faces.clear();
+            let mut placed = geometry.place(used, i, &mut scratch);
             for run in geometry.runs(used, i) {
+                let run = run?;
                 let mut area = 0.0;
                 let emitting = emits(run.material);
+                if emitting && spooled {
+                    glowing.push(Glowing {
+                        instance: i as u32,
+                        object: run.object,
+                        material: run.material,
+                        begin: run.triangles.start,
+                        end: run.triangles.end,
+                        index: m.count as u32,
+                    });
+                }
                 for t in run.triangles {
-                    match placed.corners(t) {
+                    while t / MARK_EVERY > (marks.len() - i * marks_each) as u32 {
+                        marks.push(m.count as u32);
+                    }
+                    match placed.corners(t)? {
                         Ok(corners) => {
                             m.count += 1;
                             for p in corners {
@@ -730,18 +1053,26 @@ fn measure(
                                 hi = hi.max(Vec3::from_array(p));
                             }
                             if emitting {
-                                area += lights::area(&corners);
+                                let key = lights::face_key(&corners);
+                                if faces.insert((run.object, run.material, key)) {
+                                    area += lights::area(&corners);
+                                } else {
+                                    m.twice += 1;
+                                }
                             }
                         }
                         Err(Skipped::Flat) => {
                             m.flat += 1;
                             if m.first_flat.is_none() {
-                                m.first_flat = Some((run.object, placed.corner(t)));
+                                m.first_flat = Some((run.object, placed.vertices(t)?.1));
                             }
                         }
                         Err(Skipped::NotFinite) => {
                             m.not_finite += 1;
-                            m.first_not_finite.get_or_insert(run.object);
+                            if m.first_not_finite.is_none() {
+                                let bad = bad_vertex(mesh, placed.vertices(t)?.0);
+                                m.first_not_finite = Some((run.object, bad));
+                            }
                         }
                     }
                 }
@@ -749,6 +1080,7 @@ fn measure(
                     *m.areas.entry((run.object, run.material)).or_insert(0.0) += area;
                 }
             }
+            marks.resize((i + 1) * marks_each, m.count as u32);
             if m.count >= u64::from(NONE) {
                 return Err(SceneError::whole(
                     path,
@@ -757,11 +1089,14 @@ fn measure(
                 ));
             }
         }
-        firsts.push(first);
+        noted.push((first, marks, glowing));
     }
     m.bounds = (lo.to_array(), hi.to_array());
-    for (used, first) in geometry.uses.iter_mut().zip(firsts) {
+    for (used, (first, marks, glowing)) in geometry.uses.iter_mut().zip(noted) {
         used.first = first;
+        used.marks = marks;
+        used.glowing = glowing;
+        used.glowing.shrink_to_fit();
     }
     if m.count == 0 {
         let what = match m.flat + m.not_finite {
@@ -829,30 +1164,6 @@ fn point_lights(
             continue;
         }
         out.push((name.clone(), lights::point(kind, position, axis, flux)));
-    }
-    Ok(out)
-}
-
-fn room_hints(parsed: &Parsed<SceneFile>, frame: &Frame) -> Result<Vec<RoomHint>, SceneError> {
-    let mut out = Vec::with_capacity(parsed.value.room.len());
-    for (i, at) in parsed.value.room.iter().enumerate() {
-        let table = at.get_ref();
-        let name = table.name.clone().unwrap_or_else(|| format!("room-{}", i + 1));
-        let (a, b) = (frame.point(table.min), frame.point(table.max));
-        // Turning up may swap the ends of an axis, and only that is put right.
-        let empty = (0..3).any(|c| table.min[c] >= table.max[c] || a[c] == b[c]);
-        if empty || a.iter().chain(&b).any(|v| !v.is_finite()) {
-            return Err(parsed.error(
-                at,
-                format!("room \"{name}\" is empty"),
-                "min must be below max in x, y and z",
-            ));
-        }
-        out.push(RoomHint {
-            name,
-            min: std::array::from_fn(|c| a[c].min(b[c])),
-            max: std::array::from_fn(|c| a[c].max(b[c])),
-        });
     }
     Ok(out)
 }

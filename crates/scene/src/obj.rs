@@ -3,15 +3,18 @@
 //! A reader of our own, because a building needs what general ones drop: the names of materials that
 //! no MTL defines (a scene file may), `o` told apart from `g` (a light is an *object* times a
 //! material), line numbers in messages, and a file of any size, zstd or not, read line by line into
-//! 24 bytes a vertex and 12 a triangle. (The tests hold it against `tobj`.)
+//! 24 bytes a vertex and 12 a triangle, in memory or in temporary files ([`crate::Spool`]). (The tests
+//! hold it against `tobj`.)
 //!
-//! Normals, texture coordinates, lines, points, smoothing groups and free-form surfaces are read past.
+//! Normals (which side is the front is a matter of the corners' order), texture coordinates, lines, points,
+//! smoothing groups and free-form surfaces are read past.
 
 use crate::{
-    InputFile, SceneError,
+    InputFile, LoadOptions, SceneError,
     doors::is_door,
-    input::{Lines, keyword, name, number, words},
+    input::{Lines, keyword, leading_corner, leading_number, name, words},
     polygon,
+    shape::{Builder, Part, Shape},
 };
 use glam::DVec3;
 use std::{
@@ -19,45 +22,43 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// A run of triangles of one object and one material.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Part {
-    /// One past its last triangle.
-    pub(crate) end: u32,
-    /// Object, an index into [`Mesh::objects`].
-    pub(crate) object: u32,
-    /// Material, an index into [`Mesh::materials`].
-    pub(crate) material: u32,
-    /// Named like a door.
-    pub(crate) door: bool,
-}
-
-/// One OBJ file.
+/// One model file: OBJ, or what a glTF file holds.
 #[derive(Debug, Default)]
 pub(crate) struct Mesh {
     pub(crate) file: PathBuf,
-    pub(crate) positions: Vec<DVec3>,
-    pub(crate) triangles: Vec<[u32; 3]>,
-    pub(crate) parts: Vec<Part>,
+    pub(crate) shape: Shape,
     /// Names of objects; `None`: faces outside every `o` and every named `g`.
     pub(crate) objects: Vec<Option<String>>,
     /// Names of materials; `None`: faces before the first `usemtl`.
     pub(crate) materials: Vec<Option<String>>,
     /// What follows `mtllib`, with the line.
     pub(crate) libraries: Vec<(String, usize)>,
-    /// Lower and upper corner of the vertices that faces use and `f32` can hold.
+    /// A box round all vertices that `f32` can hold, used or not.
     pub(crate) bounds: Option<(DVec3, DVec3)>,
+    /// Vertices that are not finite: number and line of the first few.
+    pub(crate) not_finite: Vec<(u32, usize)>,
     pub(crate) warnings: Vec<String>,
 }
 
+/// How many vertices that are not finite are remembered.
+const REMEMBERED: usize = 4096;
+
 impl Mesh {
+    /// Heap bytes, the names of objects and materials included.
     pub(crate) fn bytes(&self) -> u64 {
-        let names: usize =
-            self.objects.iter().chain(&self.materials).flatten().map(|n| n.capacity() + 24).sum();
-        (self.positions.capacity() * 24
-            + self.triangles.capacity() * 12
-            + self.parts.capacity() * size_of::<Part>()
-            + names) as u64
+        let names = |list: &Vec<Option<String>>| {
+            list.capacity() * size_of::<Option<String>>()
+                + list.iter().flatten().map(|n| n.capacity()).sum::<usize>()
+        };
+        let rest = self.not_finite.capacity() * size_of::<(u32, usize)>();
+        self.shape.bytes() + (names(&self.objects) + names(&self.materials) + rest) as u64
+    }
+
+    /// Lets a vertex into the bounds.
+    pub(crate) fn note(&mut self, p: DVec3) {
+        let (lo, hi) = self.bounds.get_or_insert((p, p));
+        *lo = lo.min(p);
+        *hi = hi.max(p);
     }
 }
 
@@ -111,53 +112,110 @@ impl State {
     }
 }
 
-/// Reads an OBJ file.
-pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
+/// The statements of the OBJ specification that are read past.
+const READ_PAST: [&[u8]; 36] = [
+    b"vt",
+    b"vn",
+    b"vp",
+    b"s",
+    b"l",
+    b"p",
+    b"mg",
+    b"cstype",
+    b"deg",
+    b"bmat",
+    b"step",
+    b"parm",
+    b"trim",
+    b"hole",
+    b"scrv",
+    b"sp",
+    b"end",
+    b"con",
+    b"bevel",
+    b"c_interp",
+    b"d_interp",
+    b"lod",
+    b"maplib",
+    b"usemap",
+    b"shadow_obj",
+    b"trace_obj",
+    b"ctech",
+    b"stech",
+    b"call",
+    b"csh",
+    b"bsp",
+    b"bzp",
+    b"cdc",
+    b"cdp",
+    b"res",
+    b"vw",
+];
+
+/// Counts something, and remembers the line of the first.
+#[derive(Clone, Copy, Default)]
+struct Seen {
+    count: u64,
+    first: usize,
+}
+
+impl Seen {
+    fn at(&mut self, line: usize) {
+        if self.count == 0 {
+            self.first = line;
+        }
+        self.count += 1;
+    }
+}
+
+/// Reads an OBJ file, into temporary files if `options.spool` says so.
+pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFile), SceneError> {
     let mut lines = Lines::open(path)?;
     let mut mesh = Mesh { file: path.into(), ..Mesh::default() };
+    let mut shape = Builder::new(options.spool.as_ref());
     let mut state = State::default();
     let mut corners: Vec<u32> = Vec::new();
     let mut points: Vec<DVec3> = Vec::new();
     let mut cut: Vec<[usize; 3]> = Vec::new();
     // Largest vertex number asked for, and where.
     let mut largest = (0u32, 0usize);
-    let (mut not_finite, mut free_form, mut thin_faces, mut huge_faces) = (0u64, 0u64, 0u64, 0u64);
-    let (mut first_not_finite, mut first_thin) = (0, 0);
+    let mut vertices = 0u32;
+    let (mut not_finite, mut free_form) = (Seen::default(), Seen::default());
+    let (mut thin, mut huge, mut unknown) = (Seen::default(), Seen::default(), Seen::default());
     while lines.advance()? {
         let Some((key, rest)) = keyword(lines.text()) else { continue };
         match key {
             b"v" => {
-                let mut xyz = words(rest).map(number);
-                let (Some(Some(x)), Some(Some(y)), Some(Some(z))) =
-                    (xyz.next(), xyz.next(), xyz.next())
-                else {
+                let Some(p) = position(rest) else {
                     return Err(lines.error(
                         format!("a vertex needs three numbers, not \"{}\"", excerpt(rest)),
                         "correct the line or export the model again",
                     ));
                 };
-                let p = DVec3::new(x, y, z);
-                if !fits(p) {
-                    not_finite += 1;
-                    if not_finite == 1 {
-                        first_not_finite = lines.number();
+                if fits(p) {
+                    mesh.note(p);
+                } else {
+                    not_finite.at(lines.number());
+                    if mesh.not_finite.len() < REMEMBERED {
+                        mesh.not_finite.push((vertices, lines.number()));
                     }
                 }
-                if mesh.positions.len() >= i32::MAX as usize {
+                if vertices >= i32::MAX as u32 {
                     return Err(lines.error(
                         "more than 2^31 vertices in one file",
                         "split the model into several files and list them in a scene file",
                     ));
                 }
-                mesh.positions.push(p);
+                shape.push_vertex(p.to_array())?;
+                vertices += 1;
             }
             b"f" => {
                 corners.clear();
-                for word in words(rest) {
-                    let digits = word.split(|&b| b == b'/').next().unwrap_or(word);
-                    let index =
-                        std::str::from_utf8(digits).ok().and_then(|t| t.parse::<i64>().ok());
-                    let count = mesh.positions.len() as i64;
+                let mut text = rest;
+                while !text.is_empty() {
+                    let (word, (index, after)) = (text, corner(text));
+                    text = after;
+                    let count = i64::from(vertices);
                     let vertex = match index {
                         Some(i) if i > 0 && i <= i64::from(i32::MAX) => i - 1,
                         Some(i) if i < 0 && count + i >= 0 => count + i,
@@ -170,6 +228,7 @@ pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
                             ));
                         }
                         None => {
+                            let word = words(word).next().unwrap_or_default();
                             return Err(lines.error(
                                 format!("\"{}\" is no vertex of a face", excerpt(word)),
                                 "faces are written as f v1 v2 v3, v1/t1, v1//n1 or v1/t1/n1",
@@ -182,34 +241,39 @@ pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
                     corners.push(vertex);
                 }
                 if corners.len() < 3 {
-                    thin_faces += 1;
-                    if thin_faces == 1 {
-                        first_thin = lines.number();
+                    if options.strict {
+                        return Err(lines.error(
+                            "a face with fewer than three corners",
+                            "remove the line, or do without --strict",
+                        ));
                     }
+                    thin.at(lines.number());
                     continue;
                 }
-                cut.clear();
-                if corners.len() == 3 {
-                    cut.push([0, 1, 2]);
-                } else {
-                    points.clear();
-                    let known = |&c: &u32| mesh.positions.get(c as usize).copied();
-                    points.extend(corners.iter().map(|c| known(c).unwrap_or(DVec3::NAN)));
-                    huge_faces += u64::from(corners.len() > polygon::EAR_LIMIT);
-                    polygon::triangulate(&points, &mut cut);
-                }
-                if mesh.triangles.len() + cut.len() >= i32::MAX as usize {
+                let triangles = corners.len() as u64 - 2;
+                if shape.triangles() + triangles >= i32::MAX as u64 {
                     return Err(lines.error(
                         "more than 2^31 triangles in one file",
                         "split the model into several files and list them in a scene file",
                     ));
                 }
-                mesh.triangles.extend(cut.iter().map(|t| t.map(|i| corners[i])));
-                let mut part = state.part(&mut mesh);
-                part.end = mesh.triangles.len() as u32;
-                match mesh.parts.last_mut() {
-                    Some(last) if Part { end: part.end, ..*last } == part => last.end = part.end,
-                    _ => mesh.parts.push(part),
+                let part = state.part(&mut mesh);
+                if let [a, b, c] = corners[..] {
+                    shape.push_triangle([a, b, c], part)?;
+                    continue;
+                }
+                points.clear();
+                for &c in &corners {
+                    let p = shape.position(c)?.unwrap_or([f64::NAN; 3]);
+                    points.push(DVec3::from_array(p));
+                }
+                if corners.len() > polygon::EAR_LIMIT {
+                    huge.at(lines.number());
+                }
+                cut.clear();
+                polygon::triangulate(&points, &mut cut);
+                for t in &cut {
+                    shape.push_triangle(t.map(|i| corners[i]), part)?;
                 }
             }
             b"o" => {
@@ -234,61 +298,84 @@ pub(crate) fn read(path: &Path) -> Result<(Mesh, InputFile), SceneError> {
                     mesh.libraries.push((library, lines.number()));
                 }
             }
-            b"curv" | b"curv2" | b"surf" => free_form += 1,
-            _ => {}
+            b"vn" | b"vt" | b"s" | b"mtllib" => {}
+            b"curv" | b"curv2" | b"surf" => {
+                if options.strict {
+                    return Err(lines.error(
+                        "a free-form curve or surface",
+                        "export polygons, or do without --strict",
+                    ));
+                }
+                free_form.at(lines.number());
+            }
+            other if READ_PAST.contains(&other) => {}
+            other => {
+                if options.strict {
+                    return Err(lines.error(
+                        format!("\"{}\" is no statement of an OBJ file", excerpt(other)),
+                        "remove the line, or do without --strict",
+                    ));
+                }
+                unknown.at(lines.number());
+            }
         }
     }
-    if largest.1 > 0 && largest.0 as usize >= mesh.positions.len() {
+    if largest.1 > 0 && largest.0 >= vertices {
         return Err(SceneError::line(
             path,
             largest.1,
-            format!(
-                "a face uses vertex {}, but the file has {}",
-                u64::from(largest.0) + 1,
-                mesh.positions.len()
-            ),
+            format!("a face uses vertex {}, but the file has {vertices}", u64::from(largest.0) + 1),
             "the file is cut short or damaged: export the model again",
         ));
     }
     let file = path.display();
-    if not_finite > 0 {
-        mesh.warnings.push(format!(
-            "{file}:{first_not_finite}: {not_finite} vertices are not finite (first here); their \
-             triangles are left out"
-        ));
-    }
-    if free_form > 0 {
-        mesh.warnings.push(format!(
-            "{file}: {free_form} free-form curves or surfaces are left out; export polygons"
-        ));
-    }
-    if thin_faces > 0 {
-        mesh.warnings.push(format!(
-            "{file}:{first_thin}: {thin_faces} faces with fewer than three corners are left out \
-             (first here)"
-        ));
-    }
-    if huge_faces > 0 {
-        mesh.warnings.push(format!(
-            "{file}: {huge_faces} polygons with more than {} corners are cut as if they were convex",
-            polygon::EAR_LIMIT
-        ));
-    }
-    mesh.positions.shrink_to_fit();
-    mesh.triangles.shrink_to_fit();
-    mesh.parts.shrink_to_fit();
-    for p in mesh.triangles.iter().flatten().map(|&v| mesh.positions[v as usize]) {
-        if fits(p) {
-            let (lo, hi) = mesh.bounds.get_or_insert((p, p));
-            *lo = lo.min(p);
-            *hi = hi.max(p);
+    let mut warn = |seen: Seen, what: &dyn Fn(u64) -> String| {
+        if seen.count > 0 {
+            mesh.warnings.push(format!("{file}:{}: {}", seen.first, what(seen.count)));
         }
-    }
+    };
+    warn(not_finite, &|n| {
+        format!("{n} vertices are not finite (first here); their triangles are left out")
+    });
+    warn(free_form, &|n| {
+        format!("{n} free-form curves or surfaces are left out (first here); export polygons")
+    });
+    warn(thin, &|n| format!("{n} faces with fewer than three corners are left out (first here)"));
+    warn(huge, &|n| {
+        format!(
+            "{n} polygons with more than {} corners are cut as if they were convex (first here)",
+            polygon::EAR_LIMIT
+        )
+    });
+    warn(unknown, &|n| format!("{n} lines are no statement of an OBJ file (first here)"));
+    mesh.shape = shape.finish()?;
+    mesh.objects.shrink_to_fit();
+    mesh.not_finite.shrink_to_fit();
     Ok((mesh, lines.finish()?))
 }
 
+/// The place that a `v` line gives.
+fn position(rest: &[u8]) -> Option<DVec3> {
+    let (x, rest) = leading_number(rest)?;
+    let (y, rest) = leading_number(rest)?;
+    let (z, _) = leading_number(rest)?;
+    Some(DVec3::new(x, y, z))
+}
+
+/// The vertex number of the next corner of a face, and the text after it.
+fn corner(text: &[u8]) -> (Option<i64>, &[u8]) {
+    if let Some((index, rest)) = leading_corner(text) {
+        return (Some(index), rest);
+    }
+    let end = text.iter().position(u8::is_ascii_whitespace).unwrap_or(text.len());
+    let word = &text[..end];
+    let digits = word.split(|&b| b == b'/').next().unwrap_or(word);
+    let index = std::str::from_utf8(digits).ok().and_then(|t| t.parse::<i64>().ok());
+    (index, text[end..].trim_ascii_start())
+}
+
 /// Finite, and within the range of `f32`.
-fn fits(p: DVec3) -> bool {
+pub(crate) fn fits(p: DVec3) -> bool {
     p.abs().max_element() <= f64::from(f32::MAX) && p.is_finite()
 }
 

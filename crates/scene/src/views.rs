@@ -3,6 +3,7 @@
 use crate::{
     Frame, SceneError, View,
     file::{self, Parsed, ViewTable, ViewsFile},
+    gltf,
 };
 use enf_layout::room::ViewRecord;
 use glam::DVec3;
@@ -26,6 +27,41 @@ pub fn load_views(path: &Path, frame: &Frame) -> Result<Vec<View>, SceneError> {
         return Err(SceneError::whole(path, "no [[view]] in it", "add one, or use --view auto"));
     }
     Ok(views)
+}
+
+/// Adds a camera of a glTF file, under a name that is free and fit for a file.
+pub(crate) fn add_camera(views: &mut Vec<View>, camera: &gltf::Camera, frame: &Frame) {
+    let eye = frame.point(camera.eye.to_array());
+    let ahead = DVec3::from_array(frame.up.turn(camera.ahead.to_array()));
+    let target = DVec3::from_array(eye.map(f64::from)) + ahead;
+    let Some(up) = frame.direction(camera.up.to_array()) else { return };
+    if eye.iter().any(|v| !v.is_finite()) {
+        return;
+    }
+    let plain: String = camera
+        .name
+        .chars()
+        .map(|c| if file::name_problem(&format!("a{c}")).is_some() { '_' } else { c })
+        .take(60)
+        .collect();
+    let plain = if file::name_problem(&plain).is_some() { "camera".to_string() } else { plain };
+    let mut name = plain.clone();
+    let mut number = 2;
+    while views.iter().any(|v| v.name == name) {
+        name = format!("{plain}-{number}");
+        number += 1;
+    }
+    views.push(View {
+        name,
+        record: ViewRecord {
+            eye,
+            target: target.to_array().map(|v| v as f32),
+            up,
+            fov_degrees: camera.fov as f32,
+            width: 0,
+            height: 0,
+        },
+    });
 }
 
 pub(crate) fn build<T>(
