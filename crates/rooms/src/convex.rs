@@ -294,6 +294,11 @@ pub(crate) mod flat {
         a.0.cmpgt(b.1).any() || b.0.cmpgt(a.1).any()
     }
 
+    /// Whether a point is in a polygon or on its edge.
+    pub(crate) fn contains(poly: &[DVec2], p: DVec2) -> bool {
+        edges(poly).all(|(n, d)| n.dot(p) <= d)
+    }
+
     /// The part of `poly` where `sign * (n·p - d) >= 0`.
     pub(crate) fn half(poly: &[DVec2], n: DVec2, d: f64, sign: f64) -> Poly {
         let mut out = Vec::with_capacity(poly.len() + 1);

@@ -8,6 +8,7 @@
 #![forbid(unsafe_code)]
 
 mod cluster;
+mod clutter;
 mod convex;
 mod error;
 mod merge;

@@ -251,9 +251,9 @@ pub(crate) fn merge(
             (false, false) => {
                 let between = Between {
                     shared: link.shared,
-                    free: link.free,
-                    open: link.open,
-                    weighted: link.free * link.openness,
+                    free: link.free * link.reach,
+                    open: link.open * link.reach,
+                    weighted: link.free * link.reach * link.openness,
                 };
                 growing.regions[a as usize].near.entry(b).or_default().add(&between);
                 growing.regions[b as usize].near.entry(a).or_default().add(&between);

@@ -1,11 +1,16 @@
 //! Which leaves touch, and how open their common faces are.
 
+use crate::clutter::Clutter;
 use crate::convex::{Plane, flat, flat::Poly};
-use crate::tree::{BOUND, Sheet, Tree};
+use crate::tree::{BOUND, Sheet, Tree, Walls};
 use glam::{DVec2, DVec3};
 
 /// How far around an opening its wall is looked at, m.
 const WINDOW: f64 = 1.0;
+/// Openings below this are not worth rays, m².
+const LEAST_RAYS: f64 = 0.3;
+/// Rays start on a grid of so many rows and columns.
+const ROWS: u32 = 5;
 
 /// Two leaves with a common part of a face.
 #[derive(Clone, Debug)]
@@ -22,6 +27,9 @@ pub(crate) struct Link {
     /// How free the faces of both leaves are around the opening, 0 to 1: a door in a wall is about
     /// 0.2, a virtual cut through a room 1.
     pub(crate) openness: f64,
+    /// How far one gets into the leaves from here before loose surfaces are in the way, 0 to 1: see
+    /// [`crate::clutter`].
+    pub(crate) reach: f64,
 }
 
 struct Frame {
@@ -117,7 +125,9 @@ fn overlapping<'a>(
 }
 
 /// All pairs of leaves that touch in more than a line.
-pub(crate) fn links(tree: &Tree, scale: f64) -> Vec<Link> {
+pub(crate) fn links(tree: &Tree, building: &Walls<'_>) -> Vec<Link> {
+    let scale = building.scale;
+    let clutter = Clutter::new(tree, building);
     let mut links = Vec::new();
     for (node, sides) in faces(tree).iter().enumerate() {
         let frame = Frame::new(&tree.nodes[node].plane);
@@ -153,6 +163,14 @@ pub(crate) fn links(tree: &Tree, scale: f64) -> Vec<Link> {
                     flat::subtract(&common, &walls, 0, &mut pieces);
                     pieces.iter().map(|p| flat::area(p)).sum()
                 };
+                let reach = if free < LEAST_RAYS * scale * scale {
+                    1.0
+                } else {
+                    let points = grid(&frame, &pieces);
+                    let (n, on) = (frame.plane.normal, building);
+                    let reach = |leaf, inward| clutter.reach(tree, on, leaf, inward, free, &points);
+                    reach(f.leaf, n).min(reach(b.leaf, -n))
+                };
                 links.push(Link {
                     node: node as u32,
                     leaves: [f.leaf, b.leaf],
@@ -160,6 +178,7 @@ pub(crate) fn links(tree: &Tree, scale: f64) -> Vec<Link> {
                     free,
                     open,
                     openness: 0.0,
+                    reach,
                 });
                 found.push((i, f.leaf as usize, pieces));
             }
@@ -167,6 +186,26 @@ pub(crate) fn links(tree: &Tree, scale: f64) -> Vec<Link> {
         openness(&mut links[first_link..], &found, &front, &back, WINDOW * scale);
     }
     links
+}
+
+/// Points spread evenly over polygons.
+fn grid(frame: &Frame, pieces: &[Poly]) -> Vec<DVec3> {
+    let mut around = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for piece in pieces {
+        let (lo, hi) = flat::bounds(piece);
+        around = (around.0.min(lo), around.1.max(hi));
+    }
+    let step = (around.1 - around.0) / f64::from(ROWS);
+    let mut points = Vec::new();
+    for i in 0..ROWS * ROWS {
+        // Off the middle, where edges of a symmetrical thing are.
+        let at = DVec2::new(f64::from(i % ROWS) + 0.47, f64::from(i / ROWS) + 0.53);
+        let p = around.0 + step * at;
+        if pieces.iter().any(|piece| flat::contains(piece, p)) {
+            points.push(frame.lift(p));
+        }
+    }
+    points
 }
 
 /// Fills in how open the faces of both leaves are in a window around each opening.

@@ -68,7 +68,7 @@ pub fn partition(
     let walls = Walls { triangles, opaque, clusters, tolerance, scale };
     let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &options.hints);
     drop(of);
-    let mut found = links(&tree, scale);
+    let mut found = links(&tree, &walls);
     let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, options);
     match options.rooms {
         RoomCount::Auto => {}
@@ -83,7 +83,7 @@ pub fn partition(
         RoomCount::Exactly(n) => {
             fewer(&mut divided, &found, n);
             if more(&mut tree, &mut divided, &walls, bounds, n)? {
-                found = links(&tree, scale);
+                found = links(&tree, &walls);
             }
         }
     }

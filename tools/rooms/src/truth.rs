@@ -133,7 +133,7 @@ fn read(path: &Path) -> Result<Vec<u8>, TruthError> {
 }
 
 /// Reads the truth file and, if given, the solids of the spaces (`.obj` or `.obj.zst`, one object per space
-/// with the space's GUID in its name).
+/// named as in the truth file).
 ///
 /// # Errors
 /// [`TruthError`] naming the file and the place.
@@ -185,7 +185,7 @@ pub fn parse(bytes: &[u8], solids: &BTreeMap<String, Vec<[DVec3; 3]>>) -> Result
             || name.iter().any(|n| {
                 n.to_ascii_lowercase().split(|c: char| !c.is_alphabetic()).any(|w| w == "roof")
             });
-        let shape = solids.get(&guid).map_or(Shape::Box, |t| Shape::Solid(t.clone()));
+        let shape = solids.get(&text(&s["object"])).map_or(Shape::Box, |t| Shape::Solid(t.clone()));
         by_guid.insert(guid, truth.spaces.len());
         truth.spaces.push(Space {
             name: name.join(" ").trim().into(),
@@ -209,7 +209,12 @@ pub fn parse(bytes: &[u8], solids: &BTreeMap<String, Vec<[DVec3; 3]>>) -> Result
         let author = &p["spaces_by_cobie"];
         let sides = if author.is_array() { author } else { &p["spaces_by_geometry"] };
         let side = |k: usize| sides[k].as_str().and_then(|g| by_guid.get(g)).copied();
-        let spaces = [side(0), side(1)];
+        let mut spaces = [side(0), side(1)];
+        let outdoors = |s: Option<usize>| s.is_some_and(|s| truth.spaces[s].outdoors);
+        let exterior = connects == "exterior" || spaces.iter().any(|&s| outdoors(s));
+        for s in &mut spaces {
+            *s = s.filter(|_| !outdoors(*s));
+        }
         if spaces[0] == spaces[1] || normal.length() < 0.5 {
             continue; // Within one space.
         }
@@ -220,14 +225,14 @@ pub fn parse(bytes: &[u8], solids: &BTreeMap<String, Vec<[DVec3; 3]>>) -> Result
             thickness: p["wall_thickness"].as_f64().unwrap_or(0.0).clamp(0.0, 2.0),
             width: p["portal"]["width"].as_f64().unwrap_or(0.0),
             door: p["kind"] == "door",
-            exterior: connects == "exterior",
+            exterior,
             spaces,
         });
     }
     Ok(truth)
 }
 
-/// The triangles of each object of an OBJ, by the second part of its name (`IfcSpace/GUID/...`).
+/// The triangles of each object of an OBJ, by its name.
 ///
 /// # Errors
 /// A sentence that names the line.
@@ -235,14 +240,13 @@ pub fn parse_solids(bytes: &[u8]) -> Result<BTreeMap<String, Vec<[DVec3; 3]>>, S
     let text = std::str::from_utf8(bytes).map_err(|e| e.to_string())?;
     let mut corners: Vec<DVec3> = Vec::new();
     let mut solids: BTreeMap<String, Vec<[DVec3; 3]>> = BTreeMap::new();
-    let mut guid = String::new();
+    let mut name = String::new();
     for (i, line) in text.lines().enumerate() {
         let bad = |what: &str| format!("line {}: {what}", i + 1);
         let mut words = line.split_whitespace();
         match words.next() {
             Some("o") => {
-                guid =
-                    words.next().and_then(|n| n.split('/').nth(1)).unwrap_or_default().to_string();
+                name = words.collect::<Vec<_>>().join(" ");
             }
             Some("v") => {
                 let mut c = words.map(str::parse::<f64>);
@@ -261,7 +265,7 @@ pub fn parse_solids(bytes: &[u8]) -> Result<BTreeMap<String, Vec<[DVec3; 3]>>, S
                         *corner.ok_or_else(|| bad("a face names a vertex that is not there"))?,
                     );
                 }
-                let solid = solids.entry(guid.clone()).or_default();
+                let solid = solids.entry(name.clone()).or_default();
                 for k in 2..face.len() {
                     solid.push([face[0], face[k - 1], face[k]]);
                 }
@@ -309,7 +313,7 @@ mod tests {
             min: DVec3::ZERO,
             max: DVec3::new(2.0, 3.0, 2.0),
             area: 3.0,
-            shape: Shape::Solid(solids["g"].clone()),
+            shape: Shape::Solid(solids["IfcSpace/g/1"].clone()),
             outdoors: false,
         };
         assert!((space.level() - 1.0).abs() < 1e-12);
