@@ -10,8 +10,17 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 /// Regions grow together when this share of what is between them is open.
 pub(crate) const WIDE: f64 = 0.6;
+/// Around a corner this share of the walls beside the opening is free: more than at a door or at the mouth of a
+/// corridor (a third), less than at the corner of a room (one half).
+const CORNER: f64 = 0.42;
+/// Corridors are so many times as long as they are wide.
+const CORRIDOR: f64 = 3.0;
 /// A region is not outside, however wide its opening, when this share of its surface is closed.
 const ENCLOSED: f64 = 0.75;
+/// A mouth rather than a door: this share of the wall around it is free.
+const MOUTH: f64 = 0.36;
+/// Bays are at most so many times as deep as their mouth is wide.
+const DEPTH: f64 = 1.2;
 /// Smaller is no room, m³ and m².
 const LEAST_VOLUME: f64 = 1.5;
 const LEAST_FLOOR: f64 = 1.0;
@@ -62,7 +71,7 @@ impl Between {
         self.weighted += other.weighted;
     }
 
-    /// Not a door: the faces around the openings are open as well.
+    /// Not a door: the walls around the openings are open as well.
     fn gaping(&self) -> bool {
         self.free > 1e-4 && self.weighted >= WIDE * self.free
     }
@@ -165,6 +174,28 @@ impl Growing {
                 || r.volume < LEAST_VOLUME * s * s * s
                 || height < LEAST_HEIGHT * s
                 || r.volume / height < LEAST_FLOOR * s * s)
+    }
+
+    /// How deep a region is behind an opening, in widths of the opening.
+    fn depth(&self, i: u32, other: u32, between: &Between) -> f64 {
+        let (r, o) = (&self.regions[i as usize], &self.regions[other as usize]);
+        let height = (r.high - r.low).min(o.high - o.low);
+        r.volume * height / (between.free * between.free)
+    }
+
+    /// Whether two regions are one around a corner, and not both corridors.
+    fn corner(&self, a: u32, b: u32, between: &Between) -> bool {
+        between.free >= WIDE * between.shared
+            && between.free > 1e-4
+            && between.weighted >= CORNER * between.free
+            && self.depth(a, b, between).min(self.depth(b, a, between)) < CORRIDOR
+    }
+
+    /// Whether the smaller one of two regions is a bay of the other: no deeper than its mouth is wide.
+    fn alcove(&self, a: u32, b: u32, between: &Between) -> bool {
+        between.free >= self.scale * self.scale
+            && between.weighted >= MOUTH * between.free
+            && self.depth(a, b, between).min(self.depth(b, a, between)) <= DEPTH
     }
 
     /// The neighbour behind the largest opening; inside rather than outside when they are alike.
@@ -282,14 +313,74 @@ pub(crate) fn merge(
     // Inside first, then what is wide open to the outside.
     growing.grow(|g, a, b, between| {
         let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
+        if !outside
+            && between.wide()
+            && std::env::var_os("DBG").is_some()
+            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
+        {
+            eprintln!(
+                "WIDE {:.0} {:.0} {between:?} {:.1} {:.1}",
+                g.regions[a as usize].volume,
+                g.regions[b as usize].volume,
+                g.regions[a as usize].low,
+                g.regions[a as usize].high
+            )
+        }
         !outside && g.may(a, b) && between.wide()
+    });
+    // Then around corners, but for corridors.
+    growing.grow(|g, a, b, between| {
+        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
+        if !outside
+            && g.corner(a, b, between)
+            && std::env::var_os("DBG").is_some()
+            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
+        {
+            eprintln!(
+                "CORNER {:.0} {:.0} {between:?} {:.1} {:.1}",
+                g.regions[a as usize].volume,
+                g.regions[b as usize].volume,
+                g.regions[a as usize].low,
+                g.regions[a as usize].high
+            )
+        }
+        !outside && g.may(a, b) && g.corner(a, b, between)
+    });
+    // Alcoves: as wide as they are deep, or wider.
+    growing.grow(|g, a, b, between| {
+        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
+        if !outside
+            && g.alcove(a, b, between)
+            && std::env::var_os("DBG").is_some()
+            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
+        {
+            eprintln!(
+                "ALC {:.0} {:.0} {between:?} {:.1} {:.1}",
+                g.regions[a as usize].volume,
+                g.regions[b as usize].volume,
+                g.regions[a as usize].low,
+                g.regions[a as usize].high
+            )
+        }
+        !outside && g.may(a, b) && g.alcove(a, b, between)
     });
     growing.grow(|g, a, b, between| {
         let (inner, outer) = if g.regions[a as usize].outside { (b, a) } else { (a, b) };
-        g.regions[outer as usize].outside
+        let yes = g.regions[outer as usize].outside
             && g.regions[inner as usize].hint.is_none()
             && between.gaping()
-            && g.enclosed(inner) < ENCLOSED
+            && g.enclosed(inner) < ENCLOSED;
+        if yes && std::env::var_os("DBG").is_some() && g.regions[inner as usize].volume > 10.0 {
+            let r = &g.regions[inner as usize];
+            eprintln!(
+                "OUT {inner} vol {:.0} z {:.2}..{:.2} {between:?} enclosed {:.3}",
+                r.volume,
+                r.low,
+                r.high,
+                g.enclosed(inner)
+            );
+        }
+        yes
     });
     // Doorways, cupboards and slivers belong to what they open to.
     loop {

@@ -1,6 +1,6 @@
 //! The whole partition: tree, rooms, tiles, tables.
 
-use crate::cluster::{cluster, point};
+use crate::cluster::{cluster, north, point};
 use crate::convex::{Plane, area, area_vector};
 use crate::merge::{LeafFacts, Merged, merge};
 use crate::openings::{Link, links, pieces};
@@ -65,7 +65,8 @@ pub fn partition(
     let tolerance = (4.0 * delta).max(2e-3_f64.min(1e-4 * diagonal));
     let scale = (diagonal / FULL_SIZE).clamp(1e-3, 1.0);
     let (clusters, of) = cluster(triangles, tolerance * 0.5, scale);
-    let walls = Walls { triangles, opaque, clusters, tolerance, scale };
+    let north = north(&clusters);
+    let walls = Walls { triangles, opaque, clusters, north, tolerance, scale };
     let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &options.hints);
     drop(of);
     let mut found = links(&tree, &walls);

@@ -64,6 +64,8 @@ pub(crate) struct Leaf {
 pub(crate) struct Tree {
     pub(crate) box_min: DVec3,
     pub(crate) box_max: DVec3,
+    /// Horizontal unit vector along which most walls stand.
+    pub(crate) north: DVec3,
     pub(crate) nodes: Vec<Node>,
     pub(crate) leaves: Vec<Leaf>,
 }
@@ -77,6 +79,8 @@ pub(crate) struct Walls<'a> {
     pub(crate) triangles: &'a [[[f32; 3]; 3]],
     pub(crate) opaque: &'a (dyn Fn(usize) -> bool + Sync),
     pub(crate) clusters: Vec<Cluster>,
+    /// Horizontal unit vector along which most walls stand.
+    pub(crate) north: DVec3,
     /// Polygons this close to a splitting plane lie in it, m.
     pub(crate) tolerance: f64,
     /// Of lengths: 1 for buildings, less for small models.
@@ -166,7 +170,8 @@ pub(crate) fn build(
         .map(|(t, &cluster)| Fragment { cluster, triangle: t as u32, corners: None })
         .collect();
     fragments.sort_by_key(|f| (f.cluster, f.triangle));
-    let mut tree = Tree { box_min, box_max, nodes: Vec::new(), leaves: Vec::new() };
+    let mut tree =
+        Tree { box_min, box_max, north: walls.north, nodes: Vec::new(), leaves: Vec::new() };
     // Enough for any building; a soup of triangles must end somewhere.
     let most_leaves = 4096 + walls.triangles.len() / 4;
     let shell = box_planes(bounds.0, bounds.1);

@@ -256,6 +256,7 @@ pub fn score(truth: &Truth, found: &dyn Found) -> Score {
     }
     let mut pairs: Vec<(f64, usize, u32)> = Vec::new();
     let mut spaces: Vec<SpaceScore> = Vec::new();
+    let mut pieces: Vec<Vec<u32>> = Vec::new();
     for (index, s) in truth.spaces.iter().enumerate() {
         let mut score = SpaceScore {
             room: None,
@@ -291,8 +292,9 @@ pub fn score(truth: &Truth, found: &dyn Found) -> Score {
                 }
             }
             score.rooms.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
-            score.rooms.retain(|r| r.1 >= LEAST_SHARE);
         }
+        pieces.push(score.rooms.iter().map(|r| r.0).collect());
+        score.rooms.retain(|r| r.1 >= LEAST_SHARE);
         spaces.push(score);
     }
     // One to one, best first.
@@ -328,9 +330,11 @@ pub fn score(truth: &Truth, found: &dyn Found) -> Score {
             Merged { room, spaces: list, pairs }
         })
         .collect();
-    let room_of = |space: usize| {
+    // The room of a space, or a piece of it that is no other space's room.
+    let belongs = |space: usize, room: u32| {
         let s = &spaces[space];
-        s.room.or_else(|| s.rooms.first().map(|r| r.0))
+        let own = s.room.or_else(|| s.rooms.first().map(|r| r.0));
+        own == Some(room) || (!taken.contains_key(&room) && pieces[space].contains(&room))
     };
     let doors = truth
         .doors
@@ -340,13 +344,13 @@ pub fn score(truth: &Truth, found: &dyn Found) -> Score {
             let room = |p: Place| if let Place::Room(r) = p { Some(r) } else { None };
             let rooms = sides.map(room);
             // Each space of the truth that is known must be on a side of its own.
-            let wanted: Vec<Option<u32>> =
-                door.spaces.iter().flatten().map(|&s| room_of(s)).collect();
-            let right = match wanted[..] {
-                [a, b] => rooms == [a, b] || rooms == [b, a],
-                [a] => rooms.contains(&a),
+            let right = |space: Option<usize>, room: Option<u32>| match (space, room) {
+                (Some(space), Some(room)) => belongs(space, room),
                 _ => true,
             };
+            let [a, b] = door.spaces;
+            let [x, y] = rooms;
+            let right = (right(a, x) && right(b, y)) || (right(a, y) && right(b, x));
             let indoors = if door.exterior { 1 } else { 2 };
             let found_it = sides[0] != sides[1]
                 && rooms.iter().flatten().count() >= indoors
@@ -482,8 +486,8 @@ mod tests {
         assert_eq!(score.spaces[0].room, Some(1));
         assert_eq!(score.spaces[0].rooms.len(), 2);
         assert!((score.spaces[0].rooms[0].1 - 0.7).abs() < 0.02);
-        // The door leads to the wrong piece.
-        assert!(!score.doors[0].found);
+        // The door leads to the smaller piece, which is no other space.
+        assert!(score.doors[0].found);
     }
 
     #[test]
