@@ -10,7 +10,7 @@ use glam::DVec3;
 /// Fragments of a leaf that rays are tested with at most, the largest ones.
 const MOST: usize = 4096;
 /// A leaf divides those around it if fewer rays than this share get through.
-const THROUGH: f64 = 0.25;
+const THROUGH: f64 = 0.1;
 /// Less surface than this share of an opening does not close it.
 const LEAST: f64 = 0.6;
 

@@ -12,9 +12,11 @@ use std::collections::{BTreeMap, BinaryHeap};
 pub(crate) const WIDE: f64 = 0.6;
 /// Around a corner this share of the walls beside the opening is free: more than at a door or at the mouth of a
 /// corridor (a third), less than at the corner of a room (one half).
-const CORNER: f64 = 0.42;
+pub(crate) const CORNER: f64 = 0.42;
 /// Corridors are so many times as long as they are wide.
 const CORRIDOR: f64 = 3.0;
+/// Who looks ahead where a corridor turns sees its wall, at no more than so many times its width.
+const TURN: f64 = 2.0;
 /// A region is not outside, however wide its opening, when this share of its surface is closed.
 const ENCLOSED: f64 = 0.75;
 /// A mouth rather than a door: this share of the wall around it is free.
@@ -61,6 +63,10 @@ struct Between {
     free: f64,
     open: f64,
     weighted: f64,
+    /// Of the free area, what reaches the end of its wall.
+    flush: f64,
+    /// Sum of free area times how far one sees ahead, m³.
+    ahead: f64,
 }
 
 impl Between {
@@ -69,6 +75,8 @@ impl Between {
         self.free += other.free;
         self.open += other.open;
         self.weighted += other.weighted;
+        self.ahead += other.ahead;
+        self.flush += other.flush;
     }
 
     /// Not a door: the walls around the openings are open as well.
@@ -176,19 +184,26 @@ impl Growing {
                 || r.volume / height < LEAST_FLOOR * s * s)
     }
 
-    /// How deep a region is behind an opening, in widths of the opening.
-    fn depth(&self, i: u32, other: u32, between: &Between) -> f64 {
-        let (r, o) = (&self.regions[i as usize], &self.regions[other as usize]);
-        let height = (r.high - r.low).min(o.high - o.low);
-        r.volume * height / (between.free * between.free)
+    /// Width of the opening between two regions, m, as if it were as high as the lower one.
+    fn width(&self, a: u32, b: u32, between: &Between) -> f64 {
+        let height = |i: u32| self.regions[i as usize].high - self.regions[i as usize].low;
+        between.free / height(a).min(height(b))
     }
 
-    /// Whether two regions are one around a corner, and not both corridors.
+    /// How deep a region is behind an opening, in widths of the opening.
+    fn depth(&self, i: u32, other: u32, between: &Between) -> f64 {
+        self.regions[i as usize].volume / (between.free * self.width(i, other, between))
+    }
+
+    /// Whether two regions are one around a corner. Where a corridor branches off another one, which goes on, there
+    /// is none.
     fn corner(&self, a: u32, b: u32, between: &Between) -> bool {
         between.free >= WIDE * between.shared
             && between.free > 1e-4
             && between.weighted >= CORNER * between.free
-            && self.depth(a, b, between).min(self.depth(b, a, between)) < CORRIDOR
+            && between.flush >= 0.5 * between.free
+            && (self.depth(a, b, between).min(self.depth(b, a, between)) < CORRIDOR
+                || between.ahead <= TURN * self.width(a, b, between) * between.free)
     }
 
     /// Whether the smaller one of two regions is a bay of the other: no deeper than its mouth is wide.
@@ -252,6 +267,7 @@ impl Growing {
 pub(crate) fn merge(
     facts: &[LeafFacts],
     links: &[Link],
+    ahead: &[f64],
     scale: f64,
     sealed_backs: &dyn Fn(u32) -> f64,
 ) -> Merged {
@@ -276,7 +292,7 @@ pub(crate) fn merge(
             })
             .collect(),
     };
-    for link in links {
+    for (link, &ahead) in links.iter().zip(ahead) {
         let [a, b] = link.leaves;
         match (solid[a as usize], solid[b as usize]) {
             (false, false) => {
@@ -285,6 +301,8 @@ pub(crate) fn merge(
                     free: link.free * link.reach,
                     open: link.open * link.reach,
                     weighted: link.free * link.reach * link.openness,
+                    flush: if link.flush { link.free * link.reach } else { 0.0 },
+                    ahead: link.free * link.reach * ahead,
                 };
                 growing.regions[a as usize].near.entry(b).or_default().add(&between);
                 growing.regions[b as usize].near.entry(a).or_default().add(&between);
@@ -315,7 +333,6 @@ pub(crate) fn merge(
         let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
         if !outside
             && between.wide()
-            && std::env::var_os("DBG").is_some()
             && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
         {
             eprintln!(
@@ -333,7 +350,6 @@ pub(crate) fn merge(
         let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
         if !outside
             && g.corner(a, b, between)
-            && std::env::var_os("DBG").is_some()
             && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
         {
             eprintln!(
@@ -351,7 +367,6 @@ pub(crate) fn merge(
         let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
         if !outside
             && g.alcove(a, b, between)
-            && std::env::var_os("DBG").is_some()
             && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
         {
             eprintln!(
@@ -370,7 +385,6 @@ pub(crate) fn merge(
             && g.regions[inner as usize].hint.is_none()
             && between.gaping()
             && g.enclosed(inner) < ENCLOSED;
-        if yes && std::env::var_os("DBG").is_some() && g.regions[inner as usize].volume > 10.0 {
             let r = &g.regions[inner as usize];
             eprintln!(
                 "OUT {inner} vol {:.0} z {:.2}..{:.2} {between:?} enclosed {:.3}",

@@ -12,6 +12,12 @@ const WINDOW: f64 = 1.0;
 const AROUND: f64 = 1.0;
 /// One walks along a wall from leaf to leaf where this share of the faces between them is free.
 const ALONG: f64 = 0.4;
+/// An opening this close to the end of the wall reaches it, in windows.
+const FLUSH: f64 = 0.4;
+/// Parts of one opening are this close to each other, in windows.
+const TOUCH: f64 = 0.02;
+/// An opening is put together in so many steps at most.
+const MOST_GROWTHS: usize = 8;
 /// And through so many leaves at most.
 const MOST_ALONG: usize = 24;
 /// Openings below this are not worth rays, m².
@@ -34,6 +40,10 @@ pub(crate) struct Link {
     /// How free the faces of both leaves are around the opening, 0 to 1: a door in a wall is about
     /// 0.2, a virtual cut through a room 1.
     pub(crate) openness: f64,
+    /// The opening reaches the end of the wall on one side at least: it is no door and no mouth.
+    pub(crate) flush: bool,
+    /// Middle of what is free, m.
+    pub(crate) centre: DVec3,
     /// How far one gets into the leaves from here before loose surfaces are in the way, 0 to 1: see
     /// [`crate::clutter`].
     pub(crate) reach: f64,
@@ -193,6 +203,8 @@ pub(crate) fn links(tree: &Tree, building: &Walls<'_>) -> Vec<Link> {
                     free,
                     open,
                     openness: 0.0,
+                    flush: false,
+                    centre: frame.lift(middle(&pieces)),
                     reach,
                 });
                 parts.extend(
@@ -204,6 +216,16 @@ pub(crate) fn links(tree: &Tree, building: &Walls<'_>) -> Vec<Link> {
     }
     openness(tree, &mut links, &faces, &parts, &ends, WINDOW * scale);
     links
+}
+
+/// Middle of the bounds of polygons.
+fn middle(pieces: &[Poly]) -> DVec2 {
+    let mut around = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+    for piece in pieces {
+        let (lo, hi) = flat::bounds(piece);
+        around = (around.0.min(lo), around.1.max(hi));
+    }
+    if pieces.is_empty() { DVec2::ZERO } else { (around.0 + around.1) * 0.5 }
 }
 
 /// Points spread evenly over polygons.
@@ -337,50 +359,73 @@ fn openness(
             for part in parts_of(k) {
                 (lo, hi) = (lo.min(part.bounds.0), hi.max(part.bounds.1));
             }
-            let margin = ((hi - lo) * AROUND).max(DVec2::splat(least));
-            let window = (lo - margin, hi + margin);
-            // The leaves along the wall on either side, and what is free between them.
-            let reached = [0, 1].map(|s| {
-                let mut reached = vec![links[k].leaves[s]];
-                let mut next = 0;
-                while let Some(&leaf) = reached.get(next) {
-                    next += 1;
-                    for other in beside_of(leaf, frame.plane.normal) {
-                        let at = sides[s].partition_point(|f| f.leaf < other);
-                        if reached.len() < MOST_ALONG
-                            && sides[s].get(at).is_some_and(|f| {
-                                f.leaf == other && !flat::apart(&f.bounds, &window)
-                            })
-                            && !reached.contains(&other)
-                        {
-                            reached.push(other);
+            // An opening may go on in the links beside this one: all of it counts.
+            let mut free = 0.0;
+            let mut window = (lo, hi);
+            let mut reached = [Vec::new(), Vec::new()];
+            for _ in 0..MOST_GROWTHS {
+                let margin = ((hi - lo) * AROUND).max(DVec2::splat(least));
+                window = (lo - margin, hi + margin);
+                // The leaves along the wall on either side, and what is free between them.
+                reached = [0, 1].map(|s| {
+                    let mut reached = vec![links[k].leaves[s]];
+                    let mut next = 0;
+                    while let Some(&leaf) = reached.get(next) {
+                        next += 1;
+                        for other in beside_of(leaf, frame.plane.normal) {
+                            let at = sides[s].partition_point(|f| f.leaf < other);
+                            if reached.len() < MOST_ALONG
+                                && sides[s].get(at).is_some_and(|f| {
+                                    f.leaf == other && !flat::apart(&f.bounds, &window)
+                                })
+                                && !reached.contains(&other)
+                            {
+                                reached.push(other);
+                            }
+                        }
+                    }
+                    reached
+                });
+                free = 0.0;
+                let touching = (lo - TOUCH * least, hi + TOUCH * least);
+                for &leaf in &reached[0] {
+                    let at = by_leaf[0].partition_point(|l| l.0 < leaf);
+                    for l in by_leaf[0][at..].iter().take_while(|l| l.0 == leaf) {
+                        if reached[1].contains(&links[l.1].leaves[1]) {
+                            for part in parts_of(l.1) {
+                                free += part.area * share(&part.bounds, &window);
+                                if !flat::apart(&part.bounds, &touching) {
+                                    (lo, hi) = (lo.min(part.bounds.0), hi.max(part.bounds.1));
+                                }
+                            }
                         }
                     }
                 }
-                reached
-            });
-            let mut free = 0.0;
-            for &leaf in &reached[0] {
-                let at = by_leaf[0].partition_point(|l| l.0 < leaf);
-                for l in by_leaf[0][at..].iter().take_while(|l| l.0 == leaf) {
-                    if reached[1].contains(&links[l.1].leaves[1]) {
-                        for part in parts_of(l.1) {
-                            free += part.area * share(&part.bounds, &window);
-                        }
-                    }
+                if lo.cmpge(touching.0).all() && hi.cmple(touching.1).all() {
+                    break;
                 }
             }
             let mut most = 0.0_f64;
+            let mut gaps = DVec2::ZERO;
             for s in [0, 1] {
                 let mut all = 0.0;
+                let (mut left, mut right) = (lo.x, hi.x);
                 for &leaf in &reached[s] {
                     let at = sides[s].partition_point(|f| f.leaf < leaf);
                     for spot in sides[s][at..].iter().take_while(|f| f.leaf == leaf) {
-                        all += spot.area * share(&spot.bounds, &window);
+                        let inside = share(&spot.bounds, &window);
+                        all += spot.area * inside;
+                        if inside > 0.0 {
+                            left = left.min(spot.bounds.0.x.max(window.0.x));
+                            right = right.max(spot.bounds.1.x.min(window.1.x));
+                        }
                     }
                 }
                 most = most.max(all);
+                gaps = gaps.max(DVec2::new(lo.x - left, right - hi.x));
             }
+            links[k].flush =
+                frame.plane.normal.z.abs() > 0.7 || gaps.min_element() <= FLUSH * least;
             links[k].openness = if most > 0.0 { (free / most).min(1.0) } else { 0.0 };
         }
     }

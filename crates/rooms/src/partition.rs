@@ -2,7 +2,7 @@
 
 use crate::cluster::{cluster, north, point};
 use crate::convex::{Plane, area, area_vector};
-use crate::merge::{LeafFacts, Merged, merge};
+use crate::merge::{CORNER, LeafFacts, Merged, WIDE, merge};
 use crate::openings::{Link, links, pieces};
 use crate::probe::Probe;
 use crate::tables::{Lists, lists, tables, touches};
@@ -23,6 +23,10 @@ const FULL_SIZE: f64 = 8.0;
 const LEAST_PIECE: f64 = 1e-4;
 /// Pieces of one portal touch to this, m.
 const TOUCH: f64 = 2e-3;
+/// Smaller openings are nobody's corner, m².
+const LEAST_CORNER: f64 = 0.5;
+/// Farther is as far, m.
+const FAR: f64 = 100.0;
 /// Height of the eyes, m.
 const EYES: f64 = 1.6;
 
@@ -190,8 +194,33 @@ fn divide(
             })
             .collect();
         let backs = |leaf: u32| probe.look(tree.leaves[leaf as usize].cell.centre(), 14).backs;
-        merge(&facts, found, scale, &backs)
+        let ahead: Vec<f64> = found.iter().map(|l| ahead(tree, probe, l, scale)).collect();
+        merge(&facts, found, &ahead, scale, &backs)
     })
+}
+
+/// How far one sees through an opening, m, into the nearer side of it; 0 for openings that are doors or no
+/// openings at all.
+fn ahead(tree: &Tree, probe: &Probe<'_>, link: &Link, scale: f64) -> f64 {
+    let normal = tree.nodes[link.node as usize].plane.normal;
+    if link.free < LEAST_CORNER * scale * scale
+        || !(CORNER..WIDE).contains(&link.openness)
+        || normal.z.abs() > 0.7
+    {
+        return 0.0;
+    }
+    // Across most of the opening, so that a door on the other side is not taken for a way on.
+    let height = link.leaves.iter().fold(f64::INFINITY, |h: f64, &l| {
+        let (lo, hi) = tree.leaves[l as usize].cell.bounds();
+        h.min(hi.z - lo.z)
+    });
+    let along = DVec3::Z.cross(normal) * (0.2 * link.free / height.max(1e-3));
+    let far = |d: DVec3| {
+        let mut seen = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| probe.sight(link.centre + along * k, d));
+        seen.sort_by(f64::total_cmp);
+        seen[1].min(FAR * scale)
+    };
+    far(normal).min(far(-normal))
 }
 
 /// Volumes and openings of the regions inside.
