@@ -123,8 +123,10 @@ impl Growing {
         i
     }
 
-    fn may(&self, a: u32, b: u32) -> bool {
-        self.regions[a as usize].hint == self.regions[b as usize].hint
+    /// Neither is outside, and no hint keeps them apart.
+    fn indoors(&self, a: u32, b: u32) -> bool {
+        let (a, b) = (&self.regions[a as usize], &self.regions[b as usize]);
+        !a.outside && !b.outside && a.hint == b.hint
     }
 
     /// Merges two regions and returns the one that stays; `changed` gets the neighbours that it
@@ -328,73 +330,17 @@ pub(crate) fn merge(
             hinted.insert(hint, stays);
         }
     }
-    // Inside first, then what is wide open to the outside.
-    growing.grow(|g, a, b, between| {
-        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
-        if !outside
-            && between.wide()
-            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
-        {
-            eprintln!(
-                "WIDE {:.0} {:.0} {between:?} {:.1} {:.1}",
-                g.regions[a as usize].volume,
-                g.regions[b as usize].volume,
-                g.regions[a as usize].low,
-                g.regions[a as usize].high
-            )
-        }
-        !outside && g.may(a, b) && between.wide()
-    });
-    // Then around corners, but for corridors.
-    growing.grow(|g, a, b, between| {
-        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
-        if !outside
-            && g.corner(a, b, between)
-            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
-        {
-            eprintln!(
-                "CORNER {:.0} {:.0} {between:?} {:.1} {:.1}",
-                g.regions[a as usize].volume,
-                g.regions[b as usize].volume,
-                g.regions[a as usize].low,
-                g.regions[a as usize].high
-            )
-        }
-        !outside && g.may(a, b) && g.corner(a, b, between)
-    });
-    // Alcoves: as wide as they are deep, or wider.
-    growing.grow(|g, a, b, between| {
-        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
-        if !outside
-            && g.alcove(a, b, between)
-            && g.regions[a as usize].volume.min(g.regions[b as usize].volume) > 15.0
-        {
-            eprintln!(
-                "ALC {:.0} {:.0} {between:?} {:.1} {:.1}",
-                g.regions[a as usize].volume,
-                g.regions[b as usize].volume,
-                g.regions[a as usize].low,
-                g.regions[a as usize].high
-            )
-        }
-        !outside && g.may(a, b) && g.alcove(a, b, between)
-    });
+    // Inside first: what is wide open, then around corners, then alcoves.
+    growing.grow(|g, a, b, between| g.indoors(a, b) && between.wide());
+    growing.grow(|g, a, b, between| g.indoors(a, b) && g.corner(a, b, between));
+    growing.grow(|g, a, b, between| g.indoors(a, b) && g.alcove(a, b, between));
+    // Then what is wide open to the outside.
     growing.grow(|g, a, b, between| {
         let (inner, outer) = if g.regions[a as usize].outside { (b, a) } else { (a, b) };
-        let yes = g.regions[outer as usize].outside
+        g.regions[outer as usize].outside
             && g.regions[inner as usize].hint.is_none()
             && between.gaping()
-            && g.enclosed(inner) < ENCLOSED;
-            let r = &g.regions[inner as usize];
-            eprintln!(
-                "OUT {inner} vol {:.0} z {:.2}..{:.2} {between:?} enclosed {:.3}",
-                r.volume,
-                r.low,
-                r.high,
-                g.enclosed(inner)
-            );
-        }
-        yes
+            && g.enclosed(inner) < ENCLOSED
     });
     // Doorways, cupboards and slivers belong to what they open to.
     loop {

@@ -2,6 +2,7 @@
 
 use crate::cluster::{cluster, north, point};
 use crate::convex::{Plane, area, area_vector};
+use crate::hints::Footprint;
 use crate::merge::{CORNER, LeafFacts, Merged, WIDE, merge};
 use crate::openings::{Link, links, pieces};
 use crate::probe::Probe;
@@ -68,13 +69,18 @@ pub fn partition(
     let margin = (0.02 * diagonal).max(1.0);
     let tolerance = (4.0 * delta).max(2e-3_f64.min(1e-4 * diagonal));
     let scale = (diagonal / FULL_SIZE).clamp(1e-3, 1.0);
+    let mut hints = Vec::with_capacity(options.hints.len());
+    for (i, hint) in options.hints.iter().enumerate() {
+        let footprint = Footprint::new(hint);
+        hints.push(footprint.ok_or_else(|| RoomsError::Bounds { what: format!("hint {i}") })?);
+    }
     let (clusters, of) = cluster(triangles, tolerance * 0.5, scale);
     let north = north(&clusters);
     let walls = Walls { triangles, opaque, clusters, north, tolerance, scale };
-    let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &options.hints);
+    let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &hints);
     drop(of);
     let mut found = links(&tree, &walls);
-    let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, options);
+    let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, &hints);
     match options.rooms {
         RoomCount::Auto => {}
         RoomCount::Exactly(0) => {
@@ -127,12 +133,6 @@ fn check(
             }
         }
     }
-    for (i, hint) in options.hints.iter().enumerate() {
-        let (min, max) = (point(hint.min), point(hint.max));
-        if !(min.is_finite() && max.is_finite() && min.cmplt(max).all()) {
-            return Err(RoomsError::Bounds { what: format!("hint {i}") });
-        }
-    }
     Ok(((min, max), delta))
 }
 
@@ -164,7 +164,7 @@ fn divide(
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
     found: &[Link],
-    options: &Options,
+    hints: &[Footprint],
 ) -> Merged {
     with_probe(tree, delta, triangles, opaque, |probe| {
         let facts: Vec<LeafFacts> = tree
@@ -175,9 +175,7 @@ fn divide(
                 let width = leaf.cell.width();
                 let centre = leaf.cell.centre();
                 let bound = leaf.cell.faces.iter().any(|f| f.tag >= crate::tree::BOUND);
-                let hint = options.hints.iter().position(|h| {
-                    centre.cmpgt(point(h.min)).all() && centre.cmplt(point(h.max)).all()
-                });
+                let hint = hints.iter().position(|h| h.contains(centre));
                 LeafFacts {
                     volume: leaf.cell.volume(),
                     width,

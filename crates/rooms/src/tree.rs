@@ -6,9 +6,9 @@
 //! splits), until no plane is covered well. What lies *in* a splitting plane is taken out of the
 //! cells and remembered with the node: it is what closes the faces of the leaves there.
 
-use crate::Hint;
 use crate::cluster::{Cluster, point};
 use crate::convex::{Plane, Polytope, area, area_vector, box_planes, split};
+use crate::hints::Footprint;
 use glam::DVec3;
 
 /// Marks a child as a leaf.
@@ -161,7 +161,7 @@ pub(crate) fn build(
     box_min: DVec3,
     box_max: DVec3,
     bounds: (DVec3, DVec3),
-    hints: &[Hint],
+    hints: &[Footprint],
 ) -> Tree {
     let mut fragments: Vec<Fragment> = of
         .iter()
@@ -224,7 +224,7 @@ fn cuts(cell: &Polytope, plane: &Plane, tolerance: f64) -> bool {
     lo < -1.25 * tolerance && hi > 1.25 * tolerance
 }
 
-fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> Option<Plane> {
+fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Footprint]) -> Option<Plane> {
     let cell = &job.cell;
     let tolerance = walls.tolerance;
     let unit = walls.scale * walls.scale;
@@ -234,11 +234,7 @@ fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> O
     }
     let (lo, hi) = cell.bounds();
     for hint in hints {
-        let (min, max) = (point(hint.min), point(hint.max));
-        if min.cmpge(hi - tolerance).any() || max.cmple(lo + tolerance).any() {
-            continue;
-        }
-        if let Some(plane) = box_planes(min, max).iter().find(|p| cuts(cell, p, tolerance)) {
+        if let Some(plane) = hint.planes(lo, hi, tolerance).find(|p| cuts(cell, p, tolerance)) {
             return Some(*plane);
         }
     }
