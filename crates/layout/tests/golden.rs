@@ -14,8 +14,8 @@ use std::path::PathBuf;
 use enf_layout::bsp::{
     FACE_IN_FRONT, FaceRecord, LEAF, LEAF_OUTSIDE, LEAF_SOLID, LeafRecord, NodeRecord, PlaneRecord,
 };
-use enf_layout::film::PixelRecord;
 use enf_layout::bvh::{BvhHeader, BvhNode};
+use enf_layout::film::PixelRecord;
 use enf_layout::grid::{BrickRecord, GridHeader};
 use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,

@@ -59,6 +59,9 @@ pub struct PartitionArgs {
     /// Axis of the model that points up [default: what the scene file says, else z]
     #[arg(long, value_enum)]
     pub up: Option<UpArg>,
+    /// Refuse models with bad lines, missing materials or vertices that are no numbers, instead of a warning
+    #[arg(long)]
+    pub strict: bool,
     /// Hang a luminaire in every room, sized for this illuminance (for models without lights)
     #[arg(long, value_name = "LUX", value_parser = parse_lux)]
     pub ceiling_lights: Option<f64>,
@@ -103,7 +106,7 @@ fn parse_rooms(text: &str) -> std::result::Result<Rooms, String> {
     about = "Turn a building file into rooms, portals and tiles"
 )]
 pub struct Cli {
-    /// The model: .obj, .obj.zst or a scene file (.toml)
+    /// The model: .obj, .obj.zst, .gltf, .glb or a scene file (.toml)
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
     /// The store to make

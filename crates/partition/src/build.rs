@@ -7,7 +7,7 @@ use enf_layout::material::{MATERIAL_SEE_THROUGH, MaterialRecord};
 use enf_layout::room::SceneRecord;
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_rooms::{Bsp, Hint, Tables};
-use enf_scene::{Scene, Up};
+use enf_scene::{RoomHint, Scene, SceneError, Up};
 use enf_stage::session::Session;
 use enf_stage::tables::Names;
 use enf_stage::{Failure, Result, interrupt, say, warn};
@@ -67,7 +67,7 @@ pub(crate) fn build(
     }
     refuse_if_hopeless(cli, &budget, scene, count)?;
     let _scene_bytes = budget.reserve(scene.resident_bytes(), "the scene file's own meshes")?;
-    let lights = scene.lights();
+    let lights = scene.lights().map_err(lost)?;
     let mut world = World {
         materials: scene.materials.iter().map(|m| m.record).collect(),
         material_names: scene.materials.iter().map(|m| m.name.clone()).collect(),
@@ -97,7 +97,7 @@ pub(crate) fn build(
         bounds_max: scene.bounds.1,
         rooms: args.rooms.0,
         hints: match args.hints {
-            HintsArg::Use => scene.hints.iter().map(|h| Hint { min: h.min, max: h.max }).collect(),
+            HintsArg::Use => scene.hints.iter().map(hint).collect(),
             HintsArg::Ignore => Vec::new(),
         },
     };
@@ -205,22 +205,38 @@ pub(crate) fn build(
         outside: tables.outside.unwrap_or(NONE),
         largest_tile_bytes: largest,
     };
-    write_tables(scene, &world, &tables, &record, &tile_lights, &mut writer)?;
+    // A room is called as the hint that holds its point of view.
+    let called = |room: &enf_layout::room::RoomRecord| {
+        let found = options.hints.iter().position(|h| h.contains(room.inside));
+        found.map_or_else(String::new, |i| scene.hints[i].name.clone())
+    };
+    let names = tables.rooms.iter().map(called).collect();
+    write_tables(scene, &world, &tables, names, &record, &tile_lights, &mut writer)?;
     writer.seal()?;
     Ok(())
+}
+
+/// The input could be read once, and no longer.
+pub(crate) fn lost(error: SceneError) -> Failure {
+    Failure::input(error.to_string())
+}
+
+fn hint(hint: &RoomHint) -> Hint {
+    Hint { min: hint.min, max: hint.max, polygon: hint.polygon.clone() }
 }
 
 fn write_tables(
     scene: &Scene,
     world: &World,
     tables: &Tables,
+    rooms: Vec<String>,
     record: &SceneRecord,
     tile_lights: &[u32],
     writer: &mut StageWriter,
 ) -> Result<()> {
     let names = Names {
         scene: scene.name.clone(),
-        rooms: Vec::new(),
+        rooms,
         materials: world.material_names.clone(),
         lights: world.light_names.clone(),
         views: scene.views.iter().map(|v| v.name.clone()).collect(),

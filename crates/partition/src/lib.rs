@@ -13,11 +13,11 @@ mod route;
 mod survey;
 mod tiles;
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use enf_layout::segment::StageKind;
 use enf_rooms::RoomCount;
-use enf_scene::{Doors, LoadOptions, Scene, Up};
+use enf_scene::{Doors, LoadOptions, Scene, Spool, Up};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::{Failure, IdSink, Result, interrupt, say, warn};
 use enf_store::{Identity, StageWriter, StoreDir};
@@ -60,6 +60,8 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
         units: args.units,
         up: args.up.map(|u| if u == UpArg::Y { Up::Y } else { Up::Z }),
         doors: if args.doors == DoorsArg::Open { Doors::Open } else { Doors::AsModelled },
+        spool: Some(Spool { folder: place_for(&cli.output), above: common.memory / LARGE_MESH }),
+        strict: args.strict,
     };
     let lane = session.timeline.lane("partition");
     let scene = {
@@ -111,6 +113,15 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
         out.print(room)?;
     }
     Ok(stats)
+}
+
+/// A mesh that would take more than one of so many parts of the budget is read from disk on each pass.
+const LARGE_MESH: u64 = 8;
+
+/// Where the store is going to be: the file system that has room for it has room for a large mesh.
+fn place_for(store: &Path) -> PathBuf {
+    let existing = store.ancestors().skip(1).find(|p| p.is_dir());
+    existing.map_or_else(|| PathBuf::from("."), Path::to_path_buf)
 }
 
 fn create(path: &Path) -> Result<StoreDir> {

@@ -4,14 +4,15 @@
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use crossbeam::channel::bounded;
+use crossbeam::channel::{Sender, bounded};
 use enf_rooms::{Partition, Scratch};
-use enf_scene::Scene;
+use enf_scene::{Scene, SceneError};
 use enf_stage::{CommonArgs, Failure, Progress, Result, interrupt};
 use xxhash_rust::xxh3::xxh3_128;
 use zerocopy::IntoBytes;
 
 use crate::bins::{Filling, Record};
+use crate::build::lost;
 
 /// Triangles that travel together.
 const BATCH: usize = 1024;
@@ -63,7 +64,7 @@ pub(crate) fn route(
     let (send_routed, routed) = bounded::<Routed>(2 * threads);
     let seen = AtomicU64::new(0);
     std::thread::scope(|scope| {
-        scope.spawn(|| produce(scene, extra, send_batch));
+        let producer = scope.spawn(|| produce(scene, extra, send_batch));
         for _ in 0..threads {
             let (batches, send_routed) = (batches.clone(), send_routed.clone());
             scope.spawn(move || {
@@ -94,7 +95,7 @@ pub(crate) fn route(
             passed.digest = passed.digest.wrapping_add(done.digest);
             progress.set(seen.fetch_add(triangles, Ordering::Relaxed) + triangles);
         }
-        Ok::<(), Failure>(())
+        producer.join().unwrap_or_else(|_| Err(Failure::internal("the reading thread failed")))
     })?;
     progress.finish();
     if seen.into_inner() != count {
@@ -103,23 +104,44 @@ pub(crate) fn route(
     Ok(passed)
 }
 
+/// Why the stream of triangles ended before its end.
+enum Stopped {
+    /// Nobody wants them any more; whoever has hung up knows why.
+    Unwanted,
+    /// The input cannot be read any more.
+    Lost(SceneError),
+}
+
+impl From<SceneError> for Stopped {
+    fn from(error: SceneError) -> Self {
+        Self::Lost(error)
+    }
+}
+
 /// Sends all triangles in batches until nobody wants them.
-fn produce(scene: &Scene, extra: &[Record], send: crossbeam::channel::Sender<Vec<Record>>) {
+fn produce(scene: &Scene, extra: &[Record], send: Sender<Vec<Record>>) -> Result<()> {
     let mut batch = Vec::with_capacity(BATCH);
     let mut put = |record: Record| {
         batch.push(record);
         if batch.len() == BATCH {
             let full = std::mem::replace(&mut batch, Vec::with_capacity(BATCH));
-            return send.send(full).map_err(drop);
+            return send.send(full).map_err(|_| Stopped::Unwanted);
         }
         Ok(())
     };
-    let streamed = scene.try_for_each_triangle(|t| {
+    let mut streamed = scene.try_for_each_triangle(|t| {
         put(Record { corners: t.corners, index: t.index, material: t.material })
     });
-    // Whoever has hung up knows why.
-    if streamed.is_ok() && extra.iter().try_for_each(|&record| put(record)).is_ok() {
-        let _ = send.send(batch);
+    if streamed.is_ok() {
+        streamed = extra.iter().try_for_each(|&record| put(record));
+    }
+    match streamed {
+        Ok(()) => {
+            let _ = send.send(batch);
+            Ok(())
+        }
+        Err(Stopped::Unwanted) => Ok(()),
+        Err(Stopped::Lost(error)) => Err(lost(error)),
     }
 }
 

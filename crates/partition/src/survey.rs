@@ -7,6 +7,8 @@ use enf_scene::Scene;
 use enf_stage::{CommonArgs, Failure, Progress, Result};
 use enf_store::{Array, MemoryBudget};
 
+use crate::build::lost;
+
 /// So many triangles are looked at in any case.
 const ALWAYS: u64 = 500_000;
 /// In a big scene, one of so many: furnished rooms have some hundred large triangles among tens of thousands.
@@ -59,12 +61,14 @@ impl Survey {
         let progress = Progress::new(common, "survey", Some(count), "triangles");
         if size < count {
             let mut buckets = vec![0u64; 1 << 17];
-            scene.for_each_triangle(|t| {
-                buckets[bucket(&t.corners)] += 1;
-                if t.index & 0xffff == 0 {
-                    progress.set(u64::from(t.index) / 2);
-                }
-            });
+            scene
+                .for_each_triangle(|t| {
+                    buckets[bucket(&t.corners)] += 1;
+                    if t.index & 0xffff == 0 {
+                        progress.set(u64::from(t.index) / 2);
+                    }
+                })
+                .map_err(lost)?;
             let mut left = size;
             above = buckets.len();
             while above > 0 && buckets[above - 1] <= left {
@@ -74,20 +78,22 @@ impl Survey {
             (above, ties) = (above.saturating_sub(1), left);
         }
         let mut full = false;
-        scene.for_each_triangle(|t| {
-            let at = bucket(&t.corners);
-            if at > above || (at == above && ties > 0) {
-                if at == above {
-                    ties -= 1;
+        scene
+            .for_each_triangle(|t| {
+                let at = bucket(&t.corners);
+                if at > above || (at == above && ties > 0) {
+                    if at == above {
+                        ties -= 1;
+                    }
+                    full |= survey.corners.push(t.corners).is_err();
+                    full |= survey.material_of.push(t.material).is_err();
                 }
-                full |= survey.corners.push(t.corners).is_err();
-                full |= survey.material_of.push(t.material).is_err();
-            }
-            if t.index & 0xffff == 0 {
-                let half = if size < count { count / 2 } else { 0 };
-                progress.set(half + u64::from(t.index) / if half > 0 { 2 } else { 1 });
-            }
-        });
+                if t.index & 0xffff == 0 {
+                    let half = if size < count { count / 2 } else { 0 };
+                    progress.set(half + u64::from(t.index) / if half > 0 { 2 } else { 1 });
+                }
+            })
+            .map_err(lost)?;
         progress.finish();
         if full {
             return Err(Failure::internal("the scene has more triangles than it said"));

@@ -12,6 +12,8 @@ const LEAST_AREA: f64 = 0.02;
 /// Coplanar triangles.
 pub(crate) struct Cluster {
     pub(crate) plane: Plane,
+    /// Sum of its triangles' areas, m².
+    pub(crate) area: f64,
 }
 
 /// Groups the triangles in planes. Returns the clusters and, for each triangle, its cluster or
@@ -111,6 +113,7 @@ pub(crate) fn cluster(
         }
         renumber[c] = kept.len() as u32;
         kept.push(Cluster {
+            area: grown.area,
             plane: fit(&grown.plane, grown.normal_sum, grown.centre_sum / grown.area),
         });
     }
@@ -197,6 +200,41 @@ fn near(
     }
     // 1 - cos(0.17 degrees)
     best.filter(|b| b.0 < 4.4e-6).map(|b| (b.1, b.2))
+}
+
+/// The horizontal unit vector, within 45 degrees of the x axis, along or across which most wall stands. Exactly
+/// the x axis if that is it to a thousandth of a degree.
+pub(crate) fn north(clusters: &[Cluster]) -> DVec3 {
+    // Angles modulo 90 degrees, as directions of four times the angle, in bins of half a degree.
+    const BINS: usize = 180;
+    let mut bins = vec![(0.0, DVec3::ZERO); BINS];
+    for c in clusters {
+        let n = c.plane.normal;
+        let level = n.truncate().length();
+        if level < 0.99 {
+            continue;
+        }
+        let (x, y) = (n.x / level, n.y / level);
+        let (x2, y2) = (x * x - y * y, 2.0 * x * y);
+        let (x4, y4) = (x2 * x2 - y2 * y2, 2.0 * x2 * y2);
+        let turn = libm::atan2(y4, x4) / (2.0 * std::f64::consts::PI) + 1.0;
+        let bin = &mut bins[(turn * BINS as f64) as usize % BINS];
+        bin.0 += c.area;
+        bin.1 += DVec3::new(x4, y4, 0.0) * c.area;
+    }
+    // Two bins, so that an angle between them is found.
+    let mut best = (0.0, DVec3::X);
+    for i in 0..BINS {
+        let (a, b) = (&bins[i], &bins[(i + 1) % BINS]);
+        if a.0 + b.0 > best.0 * (1.0 + 1e-9) {
+            best = (a.0 + b.0, a.1 + b.1);
+        }
+    }
+    let angle = libm::atan2(best.1.y, best.1.x) / 4.0;
+    if angle.abs() < 2e-5 {
+        return DVec3::X;
+    }
+    DVec3::new(libm::cos(angle), libm::sin(angle), 0.0)
 }
 
 pub(crate) fn point(p: [f32; 3]) -> DVec3 {

@@ -26,18 +26,11 @@ impl Plane {
         Self { normal: self.normal, offset: self.offset + margin }
     }
 
-    /// Two unit vectors in the plane, right-handed with the normal.
-    pub(crate) fn basis(&self) -> (DVec3, DVec3) {
+    /// Two unit vectors in the plane, right-handed with the normal. The first one is horizontal in a wall,
+    /// so that windows stand upright, and points to `north` in a floor.
+    pub(crate) fn basis(&self, north: DVec3) -> (DVec3, DVec3) {
         let n = self.normal;
-        let least = if n.x.abs() <= n.y.abs() && n.x.abs() <= n.z.abs() {
-            DVec3::X
-        } else if n.y.abs() <= n.z.abs() {
-            DVec3::Y
-        } else {
-            DVec3::Z
-        };
-        // Prefer a horizontal first axis, so that windows in walls stand upright.
-        let u = if n.z.abs() < 0.9 { DVec3::Z.cross(n) } else { least.cross(n) };
+        let u = if n.z.abs() < 0.9 { DVec3::Z.cross(n) } else { north - n * north.dot(n) };
         let u = u / u.length();
         (u, n.cross(u))
     }
@@ -265,7 +258,7 @@ pub(crate) fn box_planes(min: DVec3, max: DVec3) -> [Plane; 6] {
 }
 
 fn big_square(plane: &Plane, near: DVec3, reach: f64) -> Vec<DVec3> {
-    let (u, v) = plane.basis();
+    let (u, v) = plane.basis(DVec3::X);
     let c = near - plane.normal * plane.distance(near);
     let (u, v) = (u * reach * 2.0, v * reach * 2.0);
     vec![c - u - v, c + u - v, c + u + v, c - u + v]
@@ -292,6 +285,11 @@ pub(crate) mod flat {
 
     pub(crate) fn apart(a: &(DVec2, DVec2), b: &(DVec2, DVec2)) -> bool {
         a.0.cmpgt(b.1).any() || b.0.cmpgt(a.1).any()
+    }
+
+    /// Whether a point is in a polygon or on its edge.
+    pub(crate) fn contains(poly: &[DVec2], p: DVec2) -> bool {
+        edges(poly).all(|(n, d)| n.dot(p) <= d)
     }
 
     /// The part of `poly` where `sign * (n·p - d) >= 0`.

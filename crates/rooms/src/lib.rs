@@ -9,8 +9,10 @@
 #![forbid(unsafe_code)]
 
 mod cluster;
+mod clutter;
 mod convex;
 mod error;
+mod hints;
 mod merge;
 mod openings;
 mod partition;
@@ -39,13 +41,16 @@ pub enum RoomCount {
     Exactly(u32),
 }
 
-/// A box that the user calls a room.
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What the user calls a room: a footprint, from its floor to its ceiling.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Hint {
-    /// Lower corner, m.
+    /// Lower corner of its box, m. Of `min` and `max`, only z counts when there is a polygon.
     pub min: [f32; 3],
-    /// Upper corner, m.
+    /// Upper corner.
     pub max: [f32; 3],
+    /// Its footprint in x and y, m: a simple polygon of at least three corners, either way round, that need not
+    /// be convex. Empty: the footprint of the box.
+    pub polygon: Vec<[f32; 2]>,
 }
 
 /// What [`partition()`] needs to know besides the triangles.
@@ -60,7 +65,7 @@ pub struct Options {
     pub bounds_max: [f32; 3],
     /// How many rooms.
     pub rooms: RoomCount,
-    /// Boxes that are rooms; may be empty.
+    /// What the user calls rooms; may be empty. Where two overlap, the first one counts.
     pub hints: Vec<Hint>,
 }
 

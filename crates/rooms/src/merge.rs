@@ -10,8 +10,19 @@ use std::collections::{BTreeMap, BinaryHeap};
 
 /// Regions grow together when this share of what is between them is open.
 pub(crate) const WIDE: f64 = 0.6;
+/// Around a corner this share of the walls beside the opening is free: more than at a door or at the mouth of a
+/// corridor (a third), less than at the corner of a room (one half).
+pub(crate) const CORNER: f64 = 0.42;
+/// Corridors are so many times as long as they are wide.
+const CORRIDOR: f64 = 3.0;
+/// Who looks ahead where a corridor turns sees its wall, at no more than so many times its width.
+const TURN: f64 = 2.0;
 /// A region is not outside, however wide its opening, when this share of its surface is closed.
 const ENCLOSED: f64 = 0.75;
+/// A mouth rather than a door: this share of the wall around it is free.
+const MOUTH: f64 = 0.36;
+/// Bays are at most so many times as deep as their mouth is wide.
+const DEPTH: f64 = 1.2;
 /// Smaller is no room, m³ and m².
 const LEAST_VOLUME: f64 = 1.5;
 const LEAST_FLOOR: f64 = 1.0;
@@ -52,6 +63,10 @@ struct Between {
     free: f64,
     open: f64,
     weighted: f64,
+    /// Of the free area, what reaches the end of its wall.
+    flush: f64,
+    /// Sum of free area times how far one sees ahead, m³.
+    ahead: f64,
 }
 
 impl Between {
@@ -60,9 +75,11 @@ impl Between {
         self.free += other.free;
         self.open += other.open;
         self.weighted += other.weighted;
+        self.ahead += other.ahead;
+        self.flush += other.flush;
     }
 
-    /// Not a door: the faces around the openings are open as well.
+    /// Not a door: the walls around the openings are open as well.
     fn gaping(&self) -> bool {
         self.free > 1e-4 && self.weighted >= WIDE * self.free
     }
@@ -106,8 +123,10 @@ impl Growing {
         i
     }
 
-    fn may(&self, a: u32, b: u32) -> bool {
-        self.regions[a as usize].hint == self.regions[b as usize].hint
+    /// Neither is outside, and no hint keeps them apart.
+    fn indoors(&self, a: u32, b: u32) -> bool {
+        let (a, b) = (&self.regions[a as usize], &self.regions[b as usize]);
+        !a.outside && !b.outside && a.hint == b.hint
     }
 
     /// Merges two regions and returns the one that stays; `changed` gets the neighbours that it
@@ -167,6 +186,35 @@ impl Growing {
                 || r.volume / height < LEAST_FLOOR * s * s)
     }
 
+    /// Width of the opening between two regions, m, as if it were as high as the lower one.
+    fn width(&self, a: u32, b: u32, between: &Between) -> f64 {
+        let height = |i: u32| self.regions[i as usize].high - self.regions[i as usize].low;
+        between.free / height(a).min(height(b))
+    }
+
+    /// How deep a region is behind an opening, in widths of the opening.
+    fn depth(&self, i: u32, other: u32, between: &Between) -> f64 {
+        self.regions[i as usize].volume / (between.free * self.width(i, other, between))
+    }
+
+    /// Whether two regions are one around a corner. Where a corridor branches off another one, which goes on, there
+    /// is none.
+    fn corner(&self, a: u32, b: u32, between: &Between) -> bool {
+        between.free >= WIDE * between.shared
+            && between.free > 1e-4
+            && between.weighted >= CORNER * between.free
+            && between.flush >= 0.5 * between.free
+            && (self.depth(a, b, between).min(self.depth(b, a, between)) < CORRIDOR
+                || between.ahead <= TURN * self.width(a, b, between) * between.free)
+    }
+
+    /// Whether the smaller one of two regions is a bay of the other: no deeper than its mouth is wide.
+    fn alcove(&self, a: u32, b: u32, between: &Between) -> bool {
+        between.free >= self.scale * self.scale
+            && between.weighted >= MOUTH * between.free
+            && self.depth(a, b, between).min(self.depth(b, a, between)) <= DEPTH
+    }
+
     /// The neighbour behind the largest opening; inside rather than outside when they are alike.
     fn widest(&self, i: u32) -> Option<u32> {
         let region = &self.regions[i as usize];
@@ -221,6 +269,7 @@ impl Growing {
 pub(crate) fn merge(
     facts: &[LeafFacts],
     links: &[Link],
+    ahead: &[f64],
     scale: f64,
     sealed_backs: &dyn Fn(u32) -> f64,
 ) -> Merged {
@@ -245,15 +294,17 @@ pub(crate) fn merge(
             })
             .collect(),
     };
-    for link in links {
+    for (link, &ahead) in links.iter().zip(ahead) {
         let [a, b] = link.leaves;
         match (solid[a as usize], solid[b as usize]) {
             (false, false) => {
                 let between = Between {
                     shared: link.shared,
-                    free: link.free,
-                    open: link.open,
-                    weighted: link.free * link.openness,
+                    free: link.free * link.reach,
+                    open: link.open * link.reach,
+                    weighted: link.free * link.reach * link.openness,
+                    flush: if link.flush { link.free * link.reach } else { 0.0 },
+                    ahead: link.free * link.reach * ahead,
                 };
                 growing.regions[a as usize].near.entry(b).or_default().add(&between);
                 growing.regions[b as usize].near.entry(a).or_default().add(&between);
@@ -279,11 +330,11 @@ pub(crate) fn merge(
             hinted.insert(hint, stays);
         }
     }
-    // Inside first, then what is wide open to the outside.
-    growing.grow(|g, a, b, between| {
-        let outside = g.regions[a as usize].outside || g.regions[b as usize].outside;
-        !outside && g.may(a, b) && between.wide()
-    });
+    // Inside first: what is wide open, then around corners, then alcoves.
+    growing.grow(|g, a, b, between| g.indoors(a, b) && between.wide());
+    growing.grow(|g, a, b, between| g.indoors(a, b) && g.corner(a, b, between));
+    growing.grow(|g, a, b, between| g.indoors(a, b) && g.alcove(a, b, between));
+    // Then what is wide open to the outside.
     growing.grow(|g, a, b, between| {
         let (inner, outer) = if g.regions[a as usize].outside { (b, a) } else { (a, b) };
         g.regions[outer as usize].outside

@@ -1,8 +1,9 @@
 //! From triangles to rooms: tree, regions, portals, descriptions. Tiles are cut in `pieces`.
 
-use crate::cluster::{cluster, point};
+use crate::cluster::{cluster, north, point};
 use crate::convex::{Plane, area, area_vector};
-use crate::merge::{LeafFacts, Merged, merge};
+use crate::hints::Footprint;
+use crate::merge::{CORNER, LeafFacts, Merged, WIDE, merge};
 use crate::openings::{Link, links, pieces};
 use crate::probe::Probe;
 use crate::tables::{lists, tables};
@@ -23,6 +24,10 @@ const FULL_SIZE: f64 = 8.0;
 const LEAST_PIECE: f64 = 1e-4;
 /// Pieces of one portal touch to this, m.
 const TOUCH: f64 = 2e-3;
+/// Smaller openings are nobody's corner, m².
+const LEAST_CORNER: f64 = 0.5;
+/// Farther is as far, m.
+const FAR: f64 = 100.0;
 /// Height of the eyes, m.
 const EYES: f64 = 1.6;
 
@@ -67,12 +72,18 @@ pub fn partition(
     let margin = (0.02 * diagonal).max(1.0);
     let tolerance = (4.0 * delta).max(2e-3_f64.min(1e-4 * diagonal));
     let scale = (diagonal / FULL_SIZE).clamp(1e-3, 1.0);
+    let mut hints = Vec::with_capacity(options.hints.len());
+    for (i, hint) in options.hints.iter().enumerate() {
+        let footprint = Footprint::new(hint);
+        hints.push(footprint.ok_or_else(|| RoomsError::Bounds { what: format!("hint {i}") })?);
+    }
     let (clusters, of) = cluster(triangles, tolerance * 0.5, scale);
-    let walls = Walls { triangles, opaque, clusters, tolerance, scale };
-    let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &options.hints);
+    let north = north(&clusters);
+    let walls = Walls { triangles, opaque, clusters, north, tolerance, scale };
+    let mut tree = build(&walls, &of, bounds.0 - margin, bounds.1 + margin, bounds, &hints);
     drop(of);
-    let mut found = links(&tree, scale);
-    let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, options);
+    let mut found = links(&tree, &walls);
+    let mut divided = divide(&tree, delta, scale, triangles, opaque, &found, &hints);
     match options.rooms {
         RoomCount::Auto => {}
         RoomCount::Exactly(0) => {
@@ -86,7 +97,7 @@ pub fn partition(
         RoomCount::Exactly(n) => {
             fewer(&mut divided, &found, n);
             if more(&mut tree, &mut divided, &walls, bounds, n)? {
-                found = links(&tree, scale);
+                found = links(&tree, &walls);
             }
         }
     }
@@ -125,12 +136,6 @@ fn check(
             }
         }
     }
-    for (i, hint) in options.hints.iter().enumerate() {
-        let (min, max) = (point(hint.min), point(hint.max));
-        if !(min.is_finite() && max.is_finite() && min.cmplt(max).all()) {
-            return Err(RoomsError::Bounds { what: format!("hint {i}") });
-        }
-    }
     Ok(((min, max), delta))
 }
 
@@ -162,7 +167,7 @@ fn divide(
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
     found: &[Link],
-    options: &Options,
+    hints: &[Footprint],
 ) -> Merged {
     with_probe(tree, delta, triangles, opaque, |probe| {
         let facts: Vec<LeafFacts> = tree
@@ -173,9 +178,7 @@ fn divide(
                 let width = leaf.cell.width();
                 let centre = leaf.cell.centre();
                 let bound = leaf.cell.faces.iter().any(|f| f.tag >= crate::tree::BOUND);
-                let hint = options.hints.iter().position(|h| {
-                    centre.cmpgt(point(h.min)).all() && centre.cmplt(point(h.max)).all()
-                });
+                let hint = hints.iter().position(|h| h.contains(centre));
                 LeafFacts {
                     volume: leaf.cell.volume(),
                     width,
@@ -192,8 +195,33 @@ fn divide(
             })
             .collect();
         let backs = |leaf: u32| probe.look(tree.leaves[leaf as usize].cell.centre(), 14).backs;
-        merge(&facts, found, scale, &backs)
+        let ahead: Vec<f64> = found.iter().map(|l| ahead(tree, probe, l, scale)).collect();
+        merge(&facts, found, &ahead, scale, &backs)
     })
+}
+
+/// How far one sees through an opening, m, into the nearer side of it; 0 for openings that are doors or no
+/// openings at all.
+fn ahead(tree: &Tree, probe: &Probe<'_>, link: &Link, scale: f64) -> f64 {
+    let normal = tree.nodes[link.node as usize].plane.normal;
+    if link.free < LEAST_CORNER * scale * scale
+        || !(CORNER..WIDE).contains(&link.openness)
+        || normal.z.abs() > 0.7
+    {
+        return 0.0;
+    }
+    // Across most of the opening, so that a door on the other side is not taken for a way on.
+    let height = link.leaves.iter().fold(f64::INFINITY, |h: f64, &l| {
+        let (lo, hi) = tree.leaves[l as usize].cell.bounds();
+        h.min(hi.z - lo.z)
+    });
+    let along = DVec3::Z.cross(normal) * (0.2 * link.free / height.max(1e-3));
+    let far = |d: DVec3| {
+        let mut seen = [-2.0, -1.0, 0.0, 1.0, 2.0].map(|k| probe.sight(link.centre + along * k, d));
+        seen.sort_by(f64::total_cmp);
+        seen[1].min(FAR * scale)
+    };
+    far(normal).min(far(-normal))
 }
 
 /// Volumes and openings of the regions inside.

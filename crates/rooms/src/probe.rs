@@ -56,6 +56,11 @@ impl Probe<'_> {
         sight
     }
 
+    /// Distance to the nearest surface in one direction, m; infinite if there is none.
+    pub(crate) fn sight(&self, from: DVec3, direction: DVec3) -> f64 {
+        self.shoot(from, direction).map_or(f64::INFINITY, |hit| hit.0)
+    }
+
     /// Nearest opaque surface: distance and whether it is seen from behind.
     fn shoot(&self, origin: DVec3, direction: DVec3) -> Option<(f64, bool)> {
         let mut leaf = self.bsp.locate_towards(origin, direction);

@@ -6,9 +6,9 @@
 //! splits), until no plane is covered well. What lies *in* a splitting plane is taken out of the
 //! cells and remembered with the node: it is what closes the faces of the leaves there.
 
-use crate::Hint;
 use crate::cluster::{Cluster, point};
 use crate::convex::{Plane, Polytope, area, area_vector, box_planes, split};
+use crate::hints::Footprint;
 use glam::DVec3;
 
 /// Marks a child as a leaf.
@@ -64,6 +64,8 @@ pub(crate) struct Leaf {
 pub(crate) struct Tree {
     pub(crate) box_min: DVec3,
     pub(crate) box_max: DVec3,
+    /// Horizontal unit vector along which most walls stand.
+    pub(crate) north: DVec3,
     pub(crate) nodes: Vec<Node>,
     pub(crate) leaves: Vec<Leaf>,
 }
@@ -77,6 +79,8 @@ pub(crate) struct Walls<'a> {
     pub(crate) triangles: &'a [[[f32; 3]; 3]],
     pub(crate) opaque: &'a (dyn Fn(usize) -> bool + Sync),
     pub(crate) clusters: Vec<Cluster>,
+    /// Horizontal unit vector along which most walls stand.
+    pub(crate) north: DVec3,
     /// Polygons this close to a splitting plane lie in it, m.
     pub(crate) tolerance: f64,
     /// Of lengths: 1 for buildings, less for small models.
@@ -157,7 +161,7 @@ pub(crate) fn build(
     box_min: DVec3,
     box_max: DVec3,
     bounds: (DVec3, DVec3),
-    hints: &[Hint],
+    hints: &[Footprint],
 ) -> Tree {
     let mut fragments: Vec<Fragment> = of
         .iter()
@@ -166,7 +170,8 @@ pub(crate) fn build(
         .map(|(t, &cluster)| Fragment { cluster, triangle: t as u32, corners: None })
         .collect();
     fragments.sort_by_key(|f| (f.cluster, f.triangle));
-    let mut tree = Tree { box_min, box_max, nodes: Vec::new(), leaves: Vec::new() };
+    let mut tree =
+        Tree { box_min, box_max, north: walls.north, nodes: Vec::new(), leaves: Vec::new() };
     // Enough for any building; a soup of triangles must end somewhere.
     let most_leaves = 4096 + walls.triangles.len() / 4;
     let shell = box_planes(bounds.0, bounds.1);
@@ -219,7 +224,7 @@ fn cuts(cell: &Polytope, plane: &Plane, tolerance: f64) -> bool {
     lo < -1.25 * tolerance && hi > 1.25 * tolerance
 }
 
-fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> Option<Plane> {
+fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Footprint]) -> Option<Plane> {
     let cell = &job.cell;
     let tolerance = walls.tolerance;
     let unit = walls.scale * walls.scale;
@@ -229,11 +234,7 @@ fn choose(walls: &Walls<'_>, job: &Job, shell: &[Plane; 6], hints: &[Hint]) -> O
     }
     let (lo, hi) = cell.bounds();
     for hint in hints {
-        let (min, max) = (point(hint.min), point(hint.max));
-        if min.cmpge(hi - tolerance).any() || max.cmple(lo + tolerance).any() {
-            continue;
-        }
-        if let Some(plane) = box_planes(min, max).iter().find(|p| cuts(cell, p, tolerance)) {
+        if let Some(plane) = hint.planes(lo, hi, tolerance).find(|p| cuts(cell, p, tolerance)) {
             return Some(*plane);
         }
     }

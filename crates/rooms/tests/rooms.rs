@@ -343,8 +343,8 @@ fn hints_make_rooms() {
     let mut options = m.options();
     // One box over the first two rooms, one over half of the corridor.
     options.hints = vec![
-        Hint { min: [0.0, 2.0, 0.0], max: [7.9, 7.0, 2.6] },
-        Hint { min: [0.0, 0.0, 0.0], max: [6.0, 1.8, 2.6] },
+        Hint { min: [0.0, 2.0, 0.0], max: [7.9, 7.0, 2.6], polygon: vec![] },
+        Hint { min: [0.0, 0.0, 0.0], max: [6.0, 1.8, 2.6], polygon: vec![] },
     ];
     let t = m.tables(&options);
     let at = |x, y| m.room_at(&t, &options, [x, y, 1.5]);
