@@ -15,6 +15,7 @@
 //! | [`furniture`], [`furnish`] | who put the chair there? |
 //! | [`write`] | what is in the files? |
 
+pub mod carcass;
 pub mod error;
 pub mod furnish;
 pub mod furniture;
@@ -22,10 +23,12 @@ pub mod joinery;
 pub mod lamps;
 pub mod lshape;
 pub mod mesh;
+pub mod outline;
 pub mod palette;
 pub mod plan;
 pub mod rng;
 pub mod shell;
+pub mod storey;
 pub mod write;
 
 pub use error::BuildingError;
