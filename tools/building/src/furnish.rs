@@ -3,6 +3,8 @@
 //! Each room has a list of what stands where, as in a drawing. The seed nudges and turns things
 //! within what is free: not through a wall, not into each other, not in a doorway.
 
+pub mod auto;
+mod catalogue;
 mod rooms;
 
 use crate::Part;

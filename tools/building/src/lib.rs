@@ -15,21 +15,26 @@
 //! | [`furniture`], [`furnish`] | who put the chair there? |
 //! | [`write`] | what is in the files? |
 
+pub mod assemble;
 pub mod carcass;
 pub mod error;
+pub mod fittings;
 pub mod furnish;
 pub mod furniture;
 pub mod joinery;
 pub mod lamps;
 pub mod lshape;
 pub mod mesh;
+pub mod octagon;
 pub mod outline;
 pub mod palette;
 pub mod plan;
 pub mod rng;
 pub mod shell;
 pub mod storey;
+pub mod tower;
 pub mod write;
+pub mod zbuilding;
 
 pub use error::BuildingError;
 
@@ -44,6 +49,12 @@ use std::path::Path;
 pub enum Kind {
     /// Two wings around a corner, corridors on each floor, one stairwell.
     LShape,
+    /// Two bars joined by a spine, one floor.
+    ZBuilding,
+    /// Rings of rooms around a hall, three floors, walls at 45 degrees.
+    Octagon,
+    /// A slab of a hundred floors with 178 rooms each.
+    Tower,
 }
 
 impl Kind {
@@ -51,16 +62,30 @@ impl Kind {
     pub fn name(self) -> &'static str {
         match self {
             Self::LShape => "l-shape",
+            Self::ZBuilding => "z-building",
+            Self::Octagon => "octagon",
+            Self::Tower => "tower",
         }
     }
 
     /// Every kind.
-    pub const ALL: &'static [Self] = &[Self::LShape];
+    pub const ALL: &'static [Self] = &[Self::LShape, Self::ZBuilding, Self::Octagon, Self::Tower];
 
     /// The most floors that it can have.
     pub fn most_floors(self) -> u32 {
         match self {
-            Self::LShape => 100,
+            Self::LShape | Self::Octagon => 100,
+            Self::ZBuilding | Self::Tower => 200,
+        }
+    }
+
+    /// The floors that it has unless the request says otherwise.
+    pub fn floors(self) -> u32 {
+        match self {
+            Self::LShape => 2,
+            Self::ZBuilding => 1,
+            Self::Octagon => 3,
+            Self::Tower => 100,
         }
     }
 }
@@ -82,7 +107,7 @@ impl std::str::FromStr for Kind {
 pub struct Request {
     /// What to build.
     pub kind: Kind,
-    /// Number of floors; the kind's own when absent (two for an L-shape).
+    /// Number of floors; [`Kind::floors`] when absent.
     pub floors: Option<u32>,
     /// Varies how the furniture stands and which books are on the shelves.
     pub seed: u64,
@@ -149,7 +174,7 @@ impl Building {
         Summary {
             triangles: self.triangles(),
             rooms: self.plan.rooms.len() as u32,
-            lights: self.plan.rooms.iter().filter(|r| r.lamp.is_some()).count() as u32,
+            lights: self.plan.rooms.iter().filter_map(|r| r.lamp.as_ref()).map(|l| l.count).sum(),
             files: self.parts.len() as u32 + 2,
             views: self.plan.views.iter().map(|v| v.name.clone()).collect(),
         }
@@ -161,13 +186,16 @@ impl Building {
 /// # Errors
 /// [`BuildingError::Floors`] when the kind cannot have so many floors.
 pub fn design(request: &Request) -> Result<Building, BuildingError> {
-    let floors = request.floors.unwrap_or(2);
+    let floors = request.floors.unwrap_or(request.kind.floors());
     let most = request.kind.most_floors();
     if floors == 0 || floors > most {
         return Err(BuildingError::Floors { kind: request.kind.name(), floors, most });
     }
     let plan = match request.kind {
         Kind::LShape => lshape::plan(floors),
+        Kind::ZBuilding => return Ok(assemble::build(request, &zbuilding::drawing(), floors)),
+        Kind::Octagon => return Ok(assemble::build(request, &octagon::drawing(), floors)),
+        Kind::Tower => return Ok(assemble::build(request, &tower::drawing(), floors)),
     };
     let mut parts = vec![Part::fixed("shell", shell::build(&plan))];
     parts.extend(joinery::build(&plan));

@@ -4,6 +4,7 @@
 //! its own floor. Walls are whatever is left between the rooms; a doorway is an opening through
 //! the wall between two rooms, a window one to the outside.
 
+use crate::fittings::{FLIGHT, RUN, WELL};
 use crate::mesh::Paint;
 use crate::outline::{Convex, Frame, boundary};
 use crate::plan::{Filling, Leaf, Panel, Side};
@@ -154,10 +155,27 @@ pub struct Storey {
     pub spaces: Vec<Space>,
     /// Its openings.
     pub gaps: Vec<Gap>,
-    /// Flights of stairs: foot of the flight (local x across, y upwards) and its width.
-    pub flights: Vec<(Frame, f64)>,
+    /// Flights of stairs: the foot's left end; local x runs across, y up the flight.
+    pub flights: Vec<Frame>,
     /// Triangles that the whole storey should have.
     pub triangles: u64,
+    /// Viewpoints in plan: nothing may stand there.
+    pub eyes: Vec<DVec2>,
+}
+
+/// The rectangle `x0..x1` by `y0..y1` of a frame in pieces of at most `most` metres.
+pub fn cells(f: &Frame, (x0, y0, x1, y1): (f64, f64, f64, f64), most: f64) -> Vec<Convex> {
+    let count = |length: f64| libm::ceil(length / most).max(1.0);
+    let (nx, ny) = (count(x1 - x0), count(y1 - y0));
+    let mut out = Vec::new();
+    for j in 0..ny as usize {
+        for i in 0..nx as usize {
+            let x = |i: usize| x0 + (x1 - x0) * i as f64 / nx;
+            let y = |j: usize| y0 + (y1 - y0) * j as f64 / ny;
+            out.push(f.rect(x(i), y(j), x(i + 1), y(j + 1)));
+        }
+    }
+    out
 }
 
 /// How a doorway is closed.
@@ -221,6 +239,25 @@ impl Storey {
     pub fn window(&mut self, f: &Frame, at: (f64, f64), along_x: bool, width: f64) {
         let sashes = if width > 1.5 { 3 } else { 2 };
         self.gap(f, at, along_x, width, OUTER, (0.85, 2.35), Filling::Window { sashes });
+    }
+
+    /// A room with a flight of stairs along its west wall in the frame `f`, rising along local y:
+    /// `x0..x1` by `y0..y0 + length`. The well over the flight is a piece of its own.
+    pub fn stair(&mut self, name: &str, f: &Frame, (x0, x1): (f64, f64), y0: f64, length: f64) -> usize {
+        let foot = y0 + (length - RUN) / 2.0;
+        let x = x0 + FLIGHT + 0.04;
+        let (low, high) = (foot + WELL, foot + RUN + 0.005);
+        let pieces = vec![
+            f.rect(x, y0, x1, y0 + length),
+            f.rect(x0, y0, x, low),
+            f.rect(x0, low, x, high),
+            f.rect(x0, high, x, y0 + length),
+        ];
+        let turn = f.turn;
+        let room = self.space(name, Use::Stair, pieces, turn, Weight::Share(4.0));
+        self.spaces[room].well = Some(2);
+        self.flights.push(Frame { origin: f.point(x0 + 0.02, foot), turn });
+        room
     }
 
     /// Any opening.

@@ -59,6 +59,9 @@ pub fn mtl() -> String {
             Kind::Glass(c, ni) => {
                 writeln!(out, "Kd 0 0 0\nTf {}\nd 0.1\nNi {}\nillum 4", triple(c), number(*ni))
             }
+            Kind::Gloss(c, ks) => {
+                writeln!(out, "Kd {}\nKs {}\nNs 60\nillum 2", triple(c), triple(ks))
+            }
         };
     }
     let _ = writeln!(out, "newmtl {}\nKd 0.78 0.78 0.77\nKe 6 5.5 4.8\nillum 1", palette::PANEL);
@@ -99,6 +102,7 @@ pub fn scene(building: &Building, folder: &str) -> String {
             Kind::Glass(c, ni) => {
                 writeln!(out, "glass = true\ntf = {}\nni = {}", list(c), number(*ni))
             }
+            Kind::Gloss(c, ks) => writeln!(out, "kd = {}\nks = {}", list(c), list(ks)),
         };
     }
     // One emitting material per brightness and colour.
