@@ -169,13 +169,46 @@ impl Building {
         }
     }
 
+    /// Triangles by room, in the order of the plan; the last entry is the outside. What stands in a
+    /// room is the room's; walls and windows count where they face.
+    pub fn triangles_by_room(&self) -> Vec<u64> {
+        let rooms = &self.plan.rooms;
+        let mut counts = vec![0u64; rooms.len() + 1];
+        for part in &self.parts {
+            for copy in &part.copies {
+                if let Some(room) = copy.room {
+                    counts[room] += part.mesh.triangles.len() as u64;
+                    continue;
+                }
+                // Only rooms at the part's height come into question.
+                let (low, high) = part.mesh.bounds();
+                let (low, high) = (copy.apply(low).z - 0.1, copy.apply(high).z + 0.1);
+                let near: Vec<usize> = (0..rooms.len())
+                    .filter(|&r| {
+                        let top = rooms[r].shafts.last().map_or(rooms[r].height.1, |s| s.2);
+                        rooms[r].height.0 < high && top > low
+                    })
+                    .collect();
+                let at = |p: glam::DVec3| near.iter().copied().find(|&r| rooms[r].holds(p, 0.0));
+                for t in 0..part.mesh.triangles.len() {
+                    let [a, b, c] = part.mesh.corners(t).map(|q| copy.apply(q));
+                    let middle = (a + b + c) / 3.0;
+                    let n = (b - a).cross(c - a).normalize_or_zero() * 0.01;
+                    let room = at(middle).or_else(|| at(middle + n)).or_else(|| at(middle - n));
+                    counts[room.unwrap_or(rooms.len())] += 1;
+                }
+            }
+        }
+        counts
+    }
+
     /// What [`generate`] reports.
     pub fn summary(&self) -> Summary {
         Summary {
             triangles: self.triangles(),
             rooms: self.plan.rooms.len() as u32,
             lights: self.plan.rooms.iter().filter_map(|r| r.lamp.as_ref()).map(|l| l.count).sum(),
-            files: self.parts.len() as u32 + 2,
+            files: write::files(self),
             views: self.plan.views.iter().map(|v| v.name.clone()).collect(),
         }
     }
@@ -209,6 +242,15 @@ impl Part {
     pub fn fixed(name: &str, mesh: Mesh) -> Self {
         Self { name: name.to_owned(), mesh, door: false, copies: vec![Placement::default()] }
     }
+}
+
+/// What a building is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// A scene file that places meshes.
+    Scene,
+    /// One OBJ with its MTL: everything in world space.
+    Obj,
 }
 
 /// Writes the building of `request` as the scene file `scene_toml`, with its meshes in a folder

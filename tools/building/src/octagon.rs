@@ -156,6 +156,8 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
             let strip = (x0 + 1.3, a, x1, b);
             light(s, room, grid(&f, strip, (1, 2), Panel::Square, false, NEUTRAL));
             s.door(&f, (x0 + 2.4, wall), true, WALL, Door::None);
+            s.window(&f, (x0 + 2.5, pane), true, 1.4);
+            continue;
         } else if j == 1 && i == 2 && level == 0 {
             // The way in: a vestibule, and the porter behind it.
             let cut = a + 3.2;
@@ -174,7 +176,7 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
             let use_ = [Use::Office, Use::Meeting, Use::Studio][(i + level) % 3];
             let room = s.space(name, use_, vec![f.rect(x0, a, x1, b)], f.turn, Weight::Share(23.0));
             light(s, room, grid(&f, all, (1, 3), Panel::Square, false, NEUTRAL));
-            s.door(&f, (middle, wall), true, WALL, Door::Open(true));
+            s.door(&f, (middle + 0.9, wall), true, WALL, Door::Open(true));
         } else {
             suite(s, &f, all, name, [Use::Bedroom, Use::Lounge, Use::Bedroom, Use::Office][(i + level + j as usize / 2) % 4]);
         }

@@ -18,14 +18,14 @@ use crate::zbuilding::{NEUTRAL, WARM};
 
 /// Modules along the building, and what one of them takes of its length.
 const MODULES: usize = 30;
-const MODULE: f64 = 4.5;
+const MODULE: f64 = 4.95;
 /// Clear bands from south to north: suites, corridor, rooms, rooms, corridor, suites.
-const SOUTH: (f64, f64) = (0.3, 7.3);
-const HALL_S: (f64, f64) = (7.45, 9.65);
-const ROW_A: (f64, f64) = (9.8, 16.2);
-const ROW_B: (f64, f64) = (16.35, 22.75);
-const HALL_N: (f64, f64) = (22.9, 25.1);
-const NORTH: (f64, f64) = (25.25, 32.25);
+const SOUTH: (f64, f64) = (0.3, 8.1);
+const HALL_S: (f64, f64) = (8.25, 10.45);
+const ROW_A: (f64, f64) = (10.6, 17.4);
+const ROW_B: (f64, f64) = (17.55, 24.35);
+const HALL_N: (f64, f64) = (24.5, 26.7);
+const NORTH: (f64, f64) = (26.85, 34.65);
 /// Modules that are corridors from south to north.
 const CROSS: [usize; 3] = [7, 15, 22];
 
@@ -45,9 +45,9 @@ pub fn drawing() -> Drawing {
     middle(&mut s);
     suites(&mut s);
     let views = vec![
-        look(&mut s, "corridor", 0, (1.0, 8.6, 1.6), (20.0, 8.5, 1.3), 50.0),
-        look(&mut s, "ballroom", 0, (14.4, 17.0, 1.65), (20.0, 20.5, 1.0), 60.0),
-        look(&mut s, "suite", 0, (56.6, 6.8, 1.6), (54.9, 1.5, 0.9), 62.0),
+        look(&mut s, "corridor", 0, (1.0, 9.6, 1.6), (20.0, 9.3, 1.3), 50.0),
+        look(&mut s, "ballroom", 0, (15.9, 18.2, 1.65), (22.0, 22.0, 1.0), 60.0),
+        look(&mut s, "suite", 0, (62.2, 7.4, 1.6), (60.4, 1.5, 0.9), 62.0),
     ];
     Drawing {
         name: "tower",
@@ -63,7 +63,13 @@ fn corridors(s: &mut Storey) {
     let (x0, x1) = (OUTER, length() - OUTER);
     for (name, (y0, y1)) in [("corridor-south", HALL_S), ("corridor-north", HALL_N)] {
         let rect = (x0, y0, x1, y1);
-        let room = s.space(name, Use::Corridor, cells(&f, rect, 9.0), 0.0, Weight::Share(80.0));
+        // Cut between two modules: no door is there.
+        let cut = |k: usize| if k == MODULES { x1 } else { span(k, k).0 - WALL / 2.0 };
+        let pieces = (0..MODULES)
+            .step_by(2)
+            .map(|k| f.rect(if k == 0 { x0 } else { cut(k) }, y0, cut(k + 2), y1))
+            .collect();
+        let room = s.space(name, Use::Corridor, pieces, 0.0, Weight::Share(80.0));
         s.spaces[room].light = Some(grid(&f, rect, (16, 1), Panel::Long, true, WARM));
         let y = f64::midpoint(y0, y1);
         s.window(&f, (OUTER / 2.0, y), false, 1.4);
@@ -157,8 +163,8 @@ fn middle(s: &mut Storey) {
     // Some neighbours share a door.
     for m in [1, 10, 18, 25] {
         let x = span(m, m).1 + WALL / 2.0;
-        s.door(&f, (x, 13.2), false, WALL, Door::None);
-        s.door(&f, (x + MODULE, 19.4), false, WALL, Door::Shut);
+        s.door(&f, (x, 14.2), false, WALL, Door::None);
+        s.door(&f, (x + MODULE, 20.9), false, WALL, Door::Shut);
     }
 }
 

@@ -22,7 +22,7 @@
 
 use crate::assemble::{Drawing, look};
 use crate::fittings::grid;
-use crate::outline::{Frame, at};
+use crate::outline::Frame;
 use crate::plan::{Filling, Panel};
 use crate::storey::{Door, OUTER, Storey, Use, WALL, Weight, cells};
 
@@ -122,7 +122,7 @@ fn doors(s: &mut Storey) {
     // Off the spine.
     door(20.925, 13.2, false, Door::Open(true));
     door(20.925, 20.4, false, Door::Open(true));
-    door(23.075, 15.4, false, Door::None);
+    door(23.075, 16.4, false, Door::None);
     door(23.075, 19.95, false, Door::None);
     door(20.925, 28.2, false, Door::None);
     door(23.075, 28.2, false, Door::Open(false));
@@ -130,9 +130,9 @@ fn doors(s: &mut Storey) {
     // Off the top corridor.
     door(13.8, 30.925, true, Door::Open(false));
     door(14.4, 33.075, true, Door::Open(true));
-    door(19.8, 33.075, true, Door::None);
+    door(20.8, 33.075, true, Door::None);
     door(25.2, 33.075, true, Door::None);
-    door(11.925, 32.0, false, Door::None);
+    door(11.925, 32.5, false, Door::None);
     door(17.175, 36.6, false, Door::Shut);
     door(22.425, 36.6, false, Door::None);
     let entrance = (16.15, 6.1);
@@ -156,10 +156,10 @@ fn windows(s: &mut Storey) {
     for y in [13.6, 17.0, 22.4, 28.4, 32.0, 35.4] {
         s.window(&f, (27.85, y), false, 1.4);
     }
-    for x in [2.2, 6.1, 10.0, 14.5, 19.8, 25.1] {
+    for x in [2.0, 4.6, 7.6, 10.2, 14.5, 19.8, 25.1] {
         s.window(&f, (x, 37.85), true, 1.8);
     }
-    for y in [28.6, 32.0, 35.4] {
+    for y in [28.0, 30.6, 33.4, 36.0] {
         s.window(&f, (0.15, y), false, 1.8);
     }
     for x in [3.0, 8.5, 14.0] {
@@ -167,10 +167,10 @@ fn windows(s: &mut Storey) {
     }
 }
 
-/// The plan's south-west corner of every room is inside the footprint.
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::outline::at;
 
     #[test]
     fn twenty_two_rooms_fifteen_lights() {

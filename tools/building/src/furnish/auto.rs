@@ -150,6 +150,8 @@ struct Room<'a> {
     rng: Rng,
     out: Vec<(usize, Placement)>,
     triangles: u64,
+    /// How often each piece was placed, and how often it found no place: twice is enough.
+    placed: BTreeMap<&'static str, (usize, usize)>,
 }
 
 impl Room<'_> {
@@ -277,40 +279,66 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
     match use_ {
         Use::Office => (
             &["island", "bookcase", "picture"],
-            &["island", "bookcase", "workplace", "bookcase", "ficus", "vitrine", "palm", "sideboard", "picture", "coats", "low-bookcase", "basket"],
+            &[
+                "bookcase", "island", "vitrine", "workplace", "bookcase", "ficus", "palm",
+                "narrow-vitrine", "sideboard", "picture", "coats", "low-bookcase",
+                "narrow-bookcase", "basket",
+            ],
         ),
         Use::Meeting => (
             &["conference-8", "whiteboard", "sideboard"],
-            &["meeting-round", "bookcase", "ficus", "vitrine", "sideboard", "palm", "armchair", "picture", "television"],
+            &[
+                "vitrine", "meeting-round", "bookcase", "ficus", "sideboard", "palm", "armchair",
+                "narrow-vitrine", "picture", "television", "narrow-bookcase",
+            ],
         ),
         Use::Lounge => (
             &["lounge", "bookcase", "picture"],
-            &["lounge", "vitrine", "bookcase", "ficus", "sofa", "palm", "cafe", "chandelier", "armchair", "sideboard", "picture"],
+            &[
+                "vitrine", "lounge", "bookcase", "ficus", "narrow-vitrine", "sofa", "palm", "cafe",
+                "chandelier", "armchair", "sideboard", "narrow-bookcase", "picture",
+            ],
         ),
         Use::Bedroom => (
             &["bed", "wardrobe", "workplace", "picture"],
-            &["sofa", "bookcase", "ficus", "lounge-chair", "vitrine", "palm", "armchair", "clothes", "mirror", "sideboard", "chandelier", "coats", "picture"],
+            &[
+                "vitrine", "bookcase", "sofa", "ficus", "narrow-vitrine", "lounge-chair", "palm",
+                "armchair", "clothes", "mirror", "sideboard", "bookcase", "cafe",
+                "narrow-bookcase", "chandelier", "coats", "picture",
+            ],
         ),
         Use::Bath => (
             &["bathtub", "washplace", "toilet", "towels"],
-            &["palm", "ficus", "washplace", "washing-machine", "towels", "snake-plant", "basket"],
+            &[
+                "palm", "ficus", "narrow-vitrine", "washplace", "washing-machine", "towels",
+                "snake-plant", "basket",
+            ],
         ),
         Use::Washroom => (
             &["washplace", "toilet", "toilet", "washplace", "towels"],
-            &["washplace", "toilet", "towels", "palm", "ficus", "basket", "mirror"],
+            &["washplace", "toilet", "towels", "palm", "ficus", "narrow-vitrine", "basket", "mirror"],
         ),
         Use::Kitchen => (
             &["kitchen", "fridge", "dining"],
-            &["kitchen", "dining", "vitrine", "ficus", "sideboard", "palm", "cafe", "clock", "basket"],
+            &[
+                "kitchen", "dining", "vitrine", "ficus", "sideboard", "palm", "cafe", "clock",
+                "basket",
+            ],
         ),
         Use::Store => (
             &["rack", "rack", "carton"],
-            &["rack", "rack", "short-rack", "clothes", "bookcase", "vitrine", "carton", "mop", "palm"],
+            &[
+                "rack", "rack", "short-rack", "clothes", "bookcase", "vitrine", "narrow-bookcase",
+                "carton", "mop", "palm",
+            ],
         ),
         Use::Stair => (&["picture"], &["ficus", "palm", "picture", "snake-plant"]),
         Use::Corridor => (
             &["picture", "bench"],
-            &["low-bookcase", "picture", "ficus", "bench", "vitrine", "palm", "bookcase", "mirror", "clock"],
+            &[
+                "low-bookcase", "picture", "ficus", "bench", "vitrine", "palm", "bookcase",
+                "mirror", "clock",
+            ],
         ),
         Use::Lift => (
             &["lift", "lift", "lift", "lift", "palm"],
@@ -318,7 +346,10 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
         ),
         Use::Library => (
             &["reading", "stack", "chandelier"],
-            &["stack", "stack", "stack", "reading", "stack", "stack", "bookcase", "stack", "bookcase", "stack", "lounge", "ficus", "bookcase"],
+            &[
+                "stack", "bookcase", "stack", "reading", "stack", "bookcase", "stack", "bookcase",
+                "lounge", "ficus", "bookcase", "narrow-bookcase", "vitrine",
+            ],
         ),
         Use::Auditorium => (
             &["whiteboard", "piano"],
@@ -326,15 +357,24 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
         ),
         Use::Restaurant => (
             &["buffet", "buffet", "vitrine"],
-            &["cafe", "cafe", "dining", "cafe", "ficus", "dining", "cafe", "palm", "vitrine", "sideboard", "chandelier"],
+            &[
+                "cafe", "cafe", "dining", "cafe", "ficus", "dining", "cafe", "palm", "vitrine",
+                "sideboard", "chandelier",
+            ],
         ),
         Use::Studio => (
             &["workbench", "easel", "easel"],
-            &["workbench", "bookcase", "easel", "rack", "workplace", "ficus", "vitrine", "lounge", "picture"],
+            &[
+                "workbench", "bookcase", "rack", "vitrine", "workplace", "easel", "ficus",
+                "narrow-vitrine", "lounge", "narrow-bookcase", "picture",
+            ],
         ),
         Use::Lobby => (
             &["buffet", "lounge", "palm"],
-            &["lounge", "ficus", "palm", "cafe", "vitrine", "sofa", "picture", "bookcase", "sideboard"],
+            &[
+                "lounge", "ficus", "palm", "cafe", "vitrine", "sofa", "picture", "bookcase",
+                "sideboard",
+            ],
         ),
     }
 }
@@ -410,6 +450,7 @@ pub fn furnish(storey: &Storey, target: u64, seed: u64, label: &str, stock: &mut
             rng: Rng::new(seed, &format!("{label}/{}", space.name)),
             out: Vec::new(),
             triangles: 0,
+            placed: BTreeMap::new(),
         };
         if goal > 0.0 {
             dress(storey, &mut room, stock);
@@ -479,7 +520,7 @@ fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64, number: usize) {
     }
     let mut failed = 0;
     let mut k = number;
-    while failed < more.len() && room.triangles < goal {
+    while failed < 2 * more.len() && room.triangles < goal {
         let left = goal - room.triangles;
         // A piece that is much more than what is left is too much.
         if order(room, stock, more[k % more.len()], left + left / 2 + 300) {
@@ -493,7 +534,17 @@ fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64, number: usize) {
 
 fn order(room: &mut Room<'_>, stock: &mut Stock, name: &str, most: u64) -> bool {
     let Some(piece) = catalogue::find(name) else { return false };
+    let limit = piece.most * (room.space.area() / 40.0).ceil().max(1.0) as usize;
+    let (count, failed) = room.placed.get(piece.name).copied().unwrap_or_default();
+    if failed > 1 || count >= limit {
+        return false;
+    }
     let variant = room.rng.below(piece.variants);
     let mesh = stock.get(piece, variant);
-    (stock.meshes[mesh].1.triangles.len() as u64) <= most && room.place(stock, mesh, piece)
+    if stock.meshes[mesh].1.triangles.len() as u64 > most {
+        return false;
+    }
+    let found = room.place(stock, mesh, piece);
+    room.placed.insert(piece.name, (count + usize::from(found), failed + usize::from(!found)));
+    found
 }

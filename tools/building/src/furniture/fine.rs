@@ -53,7 +53,23 @@ fn bottle(paint: Paint, r: f64, h: f64) -> Mesh {
         (r * 0.36, h),
         (0.0, h),
     ];
-    lathe(paint, &profile, 10)
+    lathe(paint, &profile, 12)
+}
+
+/// A small open bowl.
+fn bowl(paint: Paint, r: f64) -> Mesh {
+    let profile = [
+        (0.0, 0.0),
+        (r * 0.5, 0.0),
+        (r * 0.55, 0.01),
+        (r * 0.9, r * 0.5),
+        (r, r),
+        (r * 0.94, r),
+        (r * 0.8, r * 0.5),
+        (r * 0.4, 0.02),
+        (0.0, 0.015),
+    ];
+    lathe(paint, &profile, 14)
 }
 
 /// A glazed cabinet of bottles and bowls, `width` wide and 2.1 m high; its back is at +y.
@@ -86,34 +102,21 @@ pub fn vitrine(wood: Paint, width: f64, mut rng: Rng) -> Mesh {
         if k > 0 {
             m.add(cuboid(wood, v(-w + 0.031, -d + 0.05, z - 0.018), v(w - 0.031, d - 0.022, z)));
         }
-        let mut x = -w + 0.09;
-        while x < w - 0.08 {
-            let r = rng.range(0.032, 0.055);
-            let tall = rng.range(0.2, 0.31);
-            let paint = rng.pick(&paints);
-            let y = rng.range(-0.06, 0.1);
-            let thing = if rng.unit() < 0.7 {
-                bottle(paint, r, tall)
-            } else {
-                let b = r * 1.25;
-                lathe(
-                    paint,
-                    &[
-                        (0.0, 0.0),
-                        (b * 0.5, 0.0),
-                        (b * 0.55, 0.01),
-                        (b * 0.9, b * 0.5),
-                        (b, b),
-                        (b * 0.94, b),
-                        (b * 0.8, b * 0.5),
-                        (b * 0.4, 0.02),
-                        (0.0, 0.015),
-                    ],
-                    14,
-                )
-            };
-            m.add(thing.turned(rng.range(0.0, 360.0)).at(x, y, z + 0.001));
-            x += rng.range(0.1, 0.14);
+        // Two rows, the front one in the gaps of the other.
+        for (row, y) in [(0.0, 0.085), (0.05, -0.045)] {
+            let mut x = -w + 0.09 + row;
+            while x < w - 0.08 {
+                let r = rng.range(0.03, 0.046);
+                let tall = rng.range(0.2, 0.31) * if row > 0.0 { 0.85 } else { 1.0 };
+                let paint = rng.pick(&paints);
+                let thing = if rng.unit() < 0.75 {
+                    bottle(paint, r, tall)
+                } else {
+                    bowl(paint, r * 1.2)
+                };
+                m.add(thing.turned(rng.range(0.0, 360.0)).at(x, y + rng.around(0.008), z + 0.001));
+                x += rng.range(0.095, 0.115);
+            }
         }
     }
     m
