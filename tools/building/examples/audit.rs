@@ -1,6 +1,7 @@
 //! Prints what a building is made of, and what is wrong with it.
 //!
-//! `cargo run -p enf-building --example audit [-- KIND [SEED [FLOORS]]]`
+//! `cargo run -p enf-building --example audit [-- KIND [SEED [FLOORS [FILE]]]]`; with a file, a
+//! scene or an OBJ by its ending, it is built and nothing printed but the summary.
 
 use enf_building::carcass::Carcass;
 use enf_building::furnish::{Footprint, Stance, clearances, leaves};
@@ -24,6 +25,15 @@ fn main() -> Result<(), Box<dyn Error>> {
     let floors = argument(3).and_then(|s| s.parse().ok());
     let b = design(&Request { kind, floors, seed })?;
     println!("{:?}", b.summary());
+    if let Some(file) = argument(4) {
+        let path = std::path::Path::new(&file);
+        if file.ends_with(".obj") {
+            enf_building::write::expanded::write(&b, path)?;
+        } else {
+            enf_building::write::write(&b, path)?;
+        }
+        return Ok(());
+    }
     let resident: usize = b
         .parts
         .iter()

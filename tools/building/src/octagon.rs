@@ -201,7 +201,7 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
 
 /// A room with a bath beside its entrance.
 fn suite(s: &mut Storey, f: &Frame, (x0, a, x1, b): (f64, f64, f64, f64), name: String, use_: Use) {
-    let (x, y) = (x0 + 2.0, a + 2.1);
+    let (x, y) = (x0 + 1.55, a + 2.55);
     let pieces = vec![
         f.rect(x0, y + WALL, x1, b),
         f.rect(x + WALL, a, x1, y + WALL),

@@ -13,7 +13,7 @@ use crate::outline::{Convex, turn_of};
 use crate::plan::Filling;
 use crate::rng::Rng;
 use crate::storey::{CEILING, Gap, Space, Storey, Use, Weight};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
 
 /// Free space before and behind doorways, metres.
@@ -24,6 +24,7 @@ pub const DOORWAY: f64 = 0.75;
 pub struct Stock {
     /// Names and meshes.
     pub meshes: Vec<(String, Mesh)>,
+    bounds: Vec<(DVec3, DVec3)>,
     index: BTreeMap<String, usize>,
     seed: u64,
 }
@@ -43,7 +44,9 @@ impl Stock {
 
     fn mesh(&mut self, name: String, make: impl FnOnce() -> Mesh) -> usize {
         *self.index.entry(name.clone()).or_insert_with(|| {
-            self.meshes.push((name, make()));
+            let mesh = make();
+            self.bounds.push(mesh.bounds());
+            self.meshes.push((name, mesh));
             self.meshes.len() - 1
         })
     }
@@ -170,7 +173,7 @@ impl Room<'_> {
         let digits = |c: f64| libm::round(c * 1e5) / 1e5;
         p.position = v(digits(p.position.x), digits(p.position.y), digits(p.position.z));
         p.turn = digits(p.turn);
-        let f = Footprint::of(&stock.meshes[mesh].1, &p);
+        let f = Footprint::of_bounds(stock.bounds[mesh], &p);
         if !self.free(&f) {
             return false;
         }
@@ -182,7 +185,7 @@ impl Room<'_> {
 
     /// Finds a place for a piece.
     fn place(&mut self, stock: &Stock, mesh: usize, piece: &Piece) -> bool {
-        let (low, high) = stock.meshes[mesh].1.bounds();
+        let (low, high) = stock.bounds[mesh];
         // A millimetre of air keeps feet and floors from sharing a plane.
         let lift = if low.z > -0.02 { 0.001 - low.z.min(0.0) } else { 0.001 };
         let pose = |p: DVec2, z: f64, turn: f64| Placement {
@@ -478,7 +481,7 @@ fn dress(storey: &Storey, room: &mut Room<'_>, stock: &mut Stock) {
                 let mesh = stock.mesh(format!("radiator-{tenths}"), || {
                     crate::furniture::decor::radiator(g.width - 0.3)
                 });
-                let back = stock.meshes[mesh].1.bounds().1.y + 0.02;
+                let back = stock.bounds[mesh].1.y + 0.02;
                 let p = face + inward * back;
                 room.put(stock, mesh, Placement { stance: Stance::Stands, ..Placement::new(p.x, p.y, 0.001, turn + 180.0) });
             }
