@@ -16,6 +16,9 @@ use crate::storey::{CEILING, Gap, Space, Storey, Use, Weight};
 use glam::{DVec2, DVec3};
 use std::collections::BTreeMap;
 
+/// Triangles per square metre above which a room is full of furniture.
+const DENSE: f64 = 2000.0;
+
 /// Free space before and behind doorways, metres.
 pub const DOORWAY: f64 = 0.75;
 
@@ -281,102 +284,105 @@ impl Room<'_> {
 fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
     match use_ {
         Use::Office => (
-            &["island", "bookcase", "picture"],
+            &["island", "bookcase", "picture", "ficus"],
             &[
-                "bookcase", "island", "vitrine", "workplace", "bookcase", "ficus", "palm",
-                "narrow-vitrine", "sideboard", "picture", "coats", "low-bookcase",
-                "narrow-bookcase", "basket",
+                "bookcase", "workplace", "bookcase", "palm", "island", "sideboard", "picture",
+                "ficus", "coats", "low-bookcase", "basket", "vitrine", "narrow-bookcase",
+                "narrow-vitrine",
             ],
         ),
         Use::Meeting => (
-            &["conference-8", "whiteboard", "sideboard"],
+            &["conference-8", "whiteboard", "meeting-round", "sideboard", "picture"],
             &[
-                "vitrine", "meeting-round", "bookcase", "ficus", "sideboard", "palm", "armchair",
-                "narrow-vitrine", "picture", "television", "narrow-bookcase",
+                "meeting-round", "bookcase", "ficus", "television", "palm", "sideboard",
+                "armchair", "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
             ],
         ),
         Use::Lounge => (
-            &["lounge", "bookcase", "picture"],
+            &["lounge", "bookcase", "picture", "ficus"],
             &[
-                "vitrine", "lounge", "bookcase", "ficus", "narrow-vitrine", "sofa", "palm", "cafe",
-                "chandelier", "armchair", "sideboard", "narrow-bookcase", "picture",
+                "bookcase", "sofa", "lounge", "palm", "cafe", "chandelier", "armchair", "sideboard",
+                "ficus", "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
             ],
         ),
         Use::Bedroom => (
             &["bed", "wardrobe", "workplace", "picture"],
             &[
-                "vitrine", "bookcase", "sofa", "ficus", "narrow-vitrine", "lounge-chair", "palm",
-                "armchair", "clothes", "mirror", "sideboard", "bookcase", "cafe",
-                "narrow-bookcase", "chandelier", "coats", "picture",
+                "sofa", "lounge-chair", "bookcase", "palm", "clothes", "mirror", "ficus",
+                "armchair", "sideboard", "picture", "cafe", "chandelier", "coats", "vitrine",
+                "bookcase", "narrow-bookcase", "narrow-vitrine",
             ],
         ),
         Use::Bath => (
             &["bathtub", "washplace", "toilet", "towels"],
             &[
-                "palm", "ficus", "narrow-vitrine", "washplace", "washing-machine", "towels",
-                "snake-plant", "basket",
+                "snake-plant", "towels", "washplace", "washing-machine", "palm", "basket", "ficus",
+                "narrow-vitrine",
             ],
         ),
         Use::Washroom => (
-            &["washplace", "toilet", "toilet", "washplace", "towels"],
-            &["washplace", "toilet", "towels", "palm", "ficus", "narrow-vitrine", "basket", "mirror"],
+            &["washplace", "toilet", "toilet", "washplace", "towels", "washplace", "toilet"],
+            &[
+                "washplace", "toilet", "towels", "palm", "basket", "mirror", "clothes", "ficus",
+                "narrow-vitrine",
+            ],
         ),
         Use::Kitchen => (
             &["kitchen", "fridge", "dining"],
             &[
-                "kitchen", "dining", "vitrine", "ficus", "sideboard", "palm", "cafe", "clock",
-                "basket",
+                "kitchen", "dining", "sideboard", "ficus", "cafe", "clock", "basket", "palm",
+                "vitrine",
             ],
         ),
         Use::Store => (
             &["rack", "rack", "carton"],
             &[
-                "rack", "rack", "short-rack", "clothes", "bookcase", "vitrine", "narrow-bookcase",
-                "carton", "mop", "palm",
+                "rack", "carton", "rack", "short-rack", "clothes", "mop", "bookcase", "carton",
+                "narrow-bookcase", "vitrine", "palm",
             ],
         ),
         Use::Stair => (&["picture"], &["ficus", "palm", "picture", "snake-plant"]),
         Use::Corridor => (
             &["picture", "bench"],
             &[
-                "low-bookcase", "picture", "ficus", "bench", "vitrine", "palm", "bookcase",
-                "mirror", "clock",
+                "low-bookcase", "picture", "ficus", "bench", "palm", "bookcase", "mirror", "clock",
+                "vitrine",
             ],
         ),
         Use::Lift => (
             &["lift", "lift", "lift", "lift", "palm"],
-            &["ficus", "bench", "picture", "palm", "vitrine", "mirror"],
+            &["ficus", "bench", "picture", "palm", "mirror", "vitrine"],
         ),
         Use::Library => (
             &["reading", "stack", "chandelier"],
             &[
-                "stack", "bookcase", "stack", "reading", "stack", "bookcase", "stack", "bookcase",
-                "lounge", "ficus", "bookcase", "narrow-bookcase", "vitrine",
+                "stack", "bookcase", "stack", "reading", "bookcase", "stack", "lounge", "ficus",
+                "bookcase", "narrow-bookcase", "vitrine",
             ],
         ),
         Use::Auditorium => (
             &["whiteboard", "piano"],
-            &["bookcase", "ficus", "palm", "picture", "sideboard", "sofa", "vitrine"],
+            &["palm", "bookcase", "ficus", "picture", "sideboard", "sofa", "vitrine"],
         ),
         Use::Restaurant => (
-            &["buffet", "buffet", "vitrine"],
+            &["buffet", "cafe", "cafe", "dining", "cafe", "picture", "cafe"],
             &[
-                "cafe", "cafe", "dining", "cafe", "ficus", "dining", "cafe", "palm", "vitrine",
-                "sideboard", "chandelier",
+                "cafe", "dining", "cafe", "cafe", "ficus", "sideboard", "cafe", "palm",
+                "chandelier", "buffet", "vitrine",
             ],
         ),
         Use::Studio => (
-            &["workbench", "easel", "easel"],
+            &["workbench", "easel", "easel", "rack"],
             &[
-                "workbench", "bookcase", "rack", "vitrine", "workplace", "easel", "ficus",
-                "narrow-vitrine", "lounge", "narrow-bookcase", "picture",
+                "workbench", "bookcase", "easel", "workplace", "ficus", "rack", "lounge",
+                "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
             ],
         ),
         Use::Lobby => (
             &["buffet", "lounge", "palm"],
             &[
-                "lounge", "ficus", "palm", "cafe", "vitrine", "sofa", "picture", "bookcase",
-                "sideboard",
+                "ficus", "lounge", "palm", "sofa", "picture", "cafe", "sideboard", "bookcase",
+                "vitrine",
             ],
         ),
     }
@@ -457,7 +463,7 @@ pub fn furnish(storey: &Storey, target: u64, seed: u64, label: &str, stock: &mut
         };
         if goal > 0.0 {
             dress(storey, &mut room, stock);
-            fill(&mut room, stock, goal as u64, i);
+            fill(&mut room, stock, goal as u64);
         }
         left -= room.triangles as f64;
         out.extend(room.out.into_iter().map(|(mesh, p)| (mesh, i, Placement { room: Some(i), ..p })));
@@ -502,7 +508,7 @@ fn dress(storey: &Storey, room: &mut Room<'_>, stock: &mut Stock) {
 }
 
 /// Orders pieces until the room has about `goal` triangles.
-fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64, number: usize) {
+fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64) {
     if room.space.use_ == Use::Auditorium {
         let (first, _) = list(room.space.use_);
         for name in first {
@@ -522,7 +528,10 @@ fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64, number: usize) {
         rows(room, stock, &Rows("stack", 1.23, 1.55, 1.6, [0.9, 0.8, 0.8]), goal - goal / 40);
     }
     let mut failed = 0;
-    let mut k = number;
+    // A room that is to hold much begins with what holds much: cabinets.
+    let dense = goal as f64 > DENSE * room.space.area();
+    let start = more.iter().position(|&name| name == "vitrine").filter(|_| dense);
+    let mut k = start.unwrap_or(0);
     while failed < 2 * more.len() && room.triangles < goal {
         let left = goal - room.triangles;
         // A piece that is much more than what is left is too much.

@@ -115,7 +115,7 @@ const CATALOGUE: &[Piece] = &[
     piece("cafe", 4, Free, |k, r| sets::cafe(k, r)),
     piece("dining", 3, Free, |k, r| sets::dining(k, r)),
     rare(2, "kitchen", 2, Wall(0.0), |k, mut r| sets::kitchen(k, &mut r)),
-    rare(2, "buffet", 2, Free, |k, r| sets::buffet(k, r)),
+    rare(1, "buffet", 2, Free, |k, r| sets::buffet(k, r)),
     rare(1, "fridge", 1, Wall(0.0), |_, _| wet::fridge("metal.steel")),
     // Reading, looking, making.
     piece("stack", 4, Free, |k, r| sets::stack(k, r)),
