@@ -39,6 +39,8 @@ struct World {
     triangles: Vec<Triangle>,
     nodes: Vec<Node>,
     lights: Vec<u32>,
+    /// The room of each emitting triangle.
+    home: std::collections::BTreeMap<u32, Option<usize>>,
 }
 
 impl World {
@@ -88,6 +90,7 @@ impl World {
             triangles,
             nodes: Vec::new(),
             lights: Vec::new(),
+            home: std::collections::BTreeMap::new(),
         };
         world.build();
         world.lights = (0..world.triangles.len() as u32)
@@ -96,7 +99,9 @@ impl World {
         world.own = vec![Vec::new(); world.plan.rooms.len()];
         for &i in &world.lights {
             let t = &world.triangles[i as usize];
-            if let Some(room) = world.plan.room_at(t.a.as_dvec3()) {
+            let room = world.plan.room_at(t.a.as_dvec3());
+            world.home.insert(i, room);
+            if let Some(room) = room {
                 world.own[room].push(i);
             }
         }
@@ -281,7 +286,7 @@ impl World {
             let r2 = to.length_squared();
             let d = to / r2.sqrt();
             let g = n.dot(d).max(0.0) * (-t.n.dot(d)).max(0.0) / r2.max(0.01);
-            let here = room == self.plan.room_at(t.a.as_dvec3()) && !own.is_empty();
+            let here = self.home.get(&(i as u32)) == Some(&room) && !own.is_empty();
             let all = 1.0 / self.lights.len() as f32;
             let density = match (own.is_empty(), here) {
                 (true, _) => all,
