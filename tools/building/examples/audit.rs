@@ -34,11 +34,8 @@ fn main() -> Result<(), Box<dyn Error>> {
         }
         return Ok(());
     }
-    let resident: usize = b
-        .parts
-        .iter()
-        .map(|p| p.mesh.triangles.len() * 12 + p.mesh.points.len() * 12)
-        .sum();
+    let resident: usize =
+        b.parts.iter().map(|p| p.mesh.triangles.len() * 12 + p.mesh.points.len() * 12).sum();
     let copies: usize = b.parts.iter().map(|p| p.copies.len()).sum();
     println!("{} parts, {} copies, meshes {:.1} MB", b.parts.len(), copies, resident as f64 / 1e6);
     let rooms = b.triangles_by_room();

@@ -392,8 +392,7 @@ fn main() -> Result<(), Box<dyn Error>> {
     }
     for (k, name) in names.iter().enumerate() {
         if let Some(storey) = name.strip_prefix("plan-").and_then(|s| s.parse::<u32>().ok()) {
-            let here: Vec<_> =
-                b.plan.rooms.iter().filter(|r| r.storey == storey).collect();
+            let here: Vec<_> = b.plan.rooms.iter().filter(|r| r.storey == storey).collect();
             let z = here.iter().map(|r| r.height.0).fold(f64::MAX, f64::min) as f32 + 2.6;
             let (low, high) = extent(&here);
             let scale = (2000.0 / (high - low).max_element()).min(60.0);
@@ -407,7 +406,9 @@ fn main() -> Result<(), Box<dyn Error>> {
                 }
                 let light = 0.35 + 0.65 * tri.n.dot(Vec3::new(0.35, 0.45, 0.82)).max(0.0);
                 let c = match tri.paint {
-                    Paint::Matt(c) | Paint::Gloss(c, _) => Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32),
+                    Paint::Matt(c) | Paint::Gloss(c, _) => {
+                        Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32)
+                    }
                     _ => Vec3::new(0.3, 0.6, 0.9),
                 };
                 c * light * (1.25 - 0.18 * t)

@@ -2,8 +2,8 @@
 
 use crate::carcass::{Carcass, Wells};
 use crate::fittings;
-use crate::furnish::auto::{self, Furnishing, Stock};
 use crate::furnish::Placement;
+use crate::furnish::auto::{self, Furnishing, Stock};
 use crate::mesh::{Mesh, v};
 use crate::outline::{Convex, at};
 use crate::plan::{Plan, Room, View};
@@ -59,7 +59,12 @@ impl Parts {
         if let Some(&k) = self.index.get(name) {
             return k;
         }
-        self.parts.push(Part { name: name.to_owned(), mesh: make(), door: false, copies: Vec::new() });
+        self.parts.push(Part {
+            name: name.to_owned(),
+            mesh: make(),
+            door: false,
+            copies: Vec::new(),
+        });
         self.index.insert(name.to_owned(), self.parts.len() - 1);
         self.parts.len() - 1
     }
@@ -180,9 +185,8 @@ fn lamp_part(parts: &mut Parts, mesh: Mesh) -> usize {
 
 /// Triangles of a storey without furniture, as between two others.
 fn built(carcass: &Carcass<'_>, storey: &Storey, parts: &Parts, t: usize) -> u64 {
-    let size = |name: String| {
-        parts.index.get(&name).map_or(0, |&k| parts.parts[k].mesh.triangles.len())
-    };
+    let size =
+        |name: String| parts.index.get(&name).map_or(0, |&k| parts.parts[k].mesh.triangles.len());
     let mut sum = carcass.storey(storey, Wells { below: true, above: true }).triangles.len();
     sum += size(format!("trim-{}", t + 1));
     for space in &storey.spaces {

@@ -94,7 +94,10 @@ fn key(c: f64) -> i64 {
 impl Weld {
     fn vertex(&mut self, p: DVec2, z: f64) -> u32 {
         let mesh = &mut self.mesh;
-        *self.index.entry([key(p.x), key(p.y), key(z)]).or_insert_with(|| mesh.point(v(p.x, p.y, z)))
+        *self
+            .index
+            .entry([key(p.x), key(p.y), key(z)])
+            .or_insert_with(|| mesh.point(v(p.x, p.y, z)))
     }
 
     fn mark(&mut self, p: DVec2, heights: [f64; 2]) {
@@ -214,7 +217,9 @@ impl<'a> Carcass<'a> {
                 let mut face = self.face((q, p), &self.joints(i, (p, q)), true, (0.0, 1.0), paint);
                 tidy(&mut face.splits);
                 // The face runs the other way.
-                ring.extend(face.splits.iter().rev().map(|&s| face.point(s)).take(face.splits.len() - 1));
+                ring.extend(
+                    face.splits.iter().rev().map(|&s| face.point(s)).take(face.splits.len() - 1),
+                );
             }
             weld.level(&ring, z, up, paint);
         }
@@ -342,7 +347,8 @@ fn columns(weld: &mut Weld, faces: &mut [Face]) {
             let mut from = face.height.0;
             for (low, high) in open.into_iter().chain([(face.height.1, face.height.1)]) {
                 if low - from > SAME {
-                    let paint = if face.outside || from < CEILING { face.paint } else { "ceiling.white" };
+                    let paint =
+                        if face.outside || from < CEILING { face.paint } else { "ceiling.white" };
                     walls.push((p, q, from, low, paint));
                 }
                 from = from.max(high);
@@ -375,7 +381,8 @@ fn reveal(weld: &mut Weld, gap: &Gap, ends: &[(DVec2, DVec2)]) {
     let (x, y) = gap.frame.axes();
     // The side at local -y, then the one at +y; each with its low end first.
     let side = |(p, q): (DVec2, DVec2)| if (q - p).dot(x) > 0.0 { [p, q] } else { [q, p] };
-    let (near, far) = if (b.0 - a.0).dot(y) > 0.0 { (side(a), side(b)) } else { (side(b), side(a)) };
+    let (near, far) =
+        if (b.0 - a.0).dot(y) > 0.0 { (side(a), side(b)) } else { (side(b), side(a)) };
     let (low, high) = gap.height;
     let mut at = |p: DVec2, z: f64| weld.vertex(p, z);
     let n = [at(near[0], low), at(near[1], low), at(near[1], high), at(near[0], high)];

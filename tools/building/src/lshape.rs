@@ -118,7 +118,8 @@ impl Room {
         // A hundred lumens are as exact as a catalogue gets.
         let lumens = (self.area() * LUMENS_PER_AREA / 100.0).round() * 100.0;
         let z = self.height.1;
-        self.lamp = Some(Lamp { panel, points: points.to_vec(), along_y, z, lumens, count: 1, colour });
+        self.lamp =
+            Some(Lamp { panel, points: points.to_vec(), along_y, z, lumens, count: 1, colour });
     }
 }
 

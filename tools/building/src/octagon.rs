@@ -40,9 +40,7 @@ pub fn drawing() -> Drawing {
         look(&mut storeys[0], "ring", 0, (1.2, 15.9, 1.6), (10.6, 11.4, 1.2), 60.0),
     ];
     let corner = |i: usize| sector(i).point(FACADE * K, FACADE);
-    let footprint = (0..8)
-        .map(|i| Convex(vec![at(0.0, 0.0), corner(i), corner(i + 1)]))
-        .collect();
+    let footprint = (0..8).map(|i| Convex(vec![at(0.0, 0.0), corner(i), corner(i + 1)])).collect();
     Drawing { name: "octagon", footprint, storeys, furnishings: 1, views }
 }
 
@@ -53,11 +51,8 @@ fn light(s: &mut Storey, room: usize, light: Light) {
 fn storey(level: usize) -> Storey {
     let mut s = Storey { triangles: [1_952_000, 1_642_000, 1_642_000][level], ..Storey::default() };
     let hall = Convex((0..8).map(|i| sector(i).point(HALL * K, HALL)).collect());
-    let (use_, weight) = [
-        (Use::Library, 449_000),
-        (Use::Restaurant, 210_000),
-        (Use::Lobby, 160_000),
-    ][level];
+    let (use_, weight) =
+        [(Use::Library, 449_000), (Use::Restaurant, 210_000), (Use::Lobby, 160_000)][level];
     let room = s.space("hall", use_, vec![hall], 0.0, Weight::Triangles(weight));
     let area = (-7.6, -7.6, 7.6, 7.6);
     light(&mut s, room, grid(&Frame::PLAN, area, (5, 5), Panel::Square, false, WARM));
@@ -83,7 +78,8 @@ fn corridor(s: &mut Storey, quarter: usize) {
         sector(i + 2).outline(&[(half, a), (a * K, a), (b * K, b), (half, b)]),
     ];
     let f = sector(i + 1);
-    let room = s.space(format!("ring-{}", quarter + 1), Use::Corridor, pieces, f.turn, Weight::Share(9.0));
+    let room =
+        s.space(format!("ring-{}", quarter + 1), Use::Corridor, pieces, f.turn, Weight::Share(9.0));
     let middle = f64::midpoint(a, b);
     let mut points = vec![sector(i).point(-3.4, middle)];
     points.extend([4.2, 0.0, -4.2].map(|x| f.point(x, middle)));
@@ -163,14 +159,16 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
             let cut = a + 3.2;
             let lobby = (x0, cut + WALL, x1, b);
             let porter = (x0, a, x1, cut);
-            for (name, use_, r) in [("porter", Use::Office, porter), ("vestibule", Use::Lobby, lobby)] {
+            for (name, use_, r) in
+                [("porter", Use::Office, porter), ("vestibule", Use::Lobby, lobby)]
+            {
                 let rect = f.rect(r.0, r.1, r.2, r.3);
                 let room = s.space(name, use_, vec![rect], f.turn, Weight::Share(12.0));
                 light(s, room, grid(&f, r, (1, 1), Panel::Square, false, NEUTRAL));
             }
             s.door(&f, (x0 + 0.9, cut + WALL / 2.0), true, WALL, Door::None);
             s.door(&f, (x0 + 0.9, wall), true, WALL, Door::None);
-            s.gap(&f, (middle, pane), true, 1.7, OUTER, (0.0, 2.3), Filling::Entrance);
+            s.gap(&f, (middle, pane), true, 1.8, OUTER, (0.0, 2.3), Filling::Entrance);
             continue;
         } else if j == 1 {
             let use_ = [Use::Office, Use::Meeting, Use::Studio][(i + level) % 3];
@@ -178,7 +176,14 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
             light(s, room, grid(&f, all, (1, 3), Panel::Square, false, NEUTRAL));
             s.door(&f, (middle + 0.9, wall), true, WALL, Door::Open(true));
         } else {
-            suite(s, &f, all, name, [Use::Bedroom, Use::Lounge, Use::Bedroom, Use::Office][(i + level + j as usize / 2) % 4]);
+            suite(
+                s,
+                &f,
+                all,
+                name,
+                [Use::Bedroom, Use::Lounge, Use::Bedroom, Use::Office]
+                    [(i + level + j as usize / 2) % 4],
+            );
         }
         s.window(&f, (middle, pane), true, 1.8);
     }
@@ -202,10 +207,7 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
 /// A room with a bath beside its entrance.
 fn suite(s: &mut Storey, f: &Frame, (x0, a, x1, b): (f64, f64, f64, f64), name: String, use_: Use) {
     let (x, y) = (x0 + 1.55, a + 2.55);
-    let pieces = vec![
-        f.rect(x0, y + WALL, x1, b),
-        f.rect(x + WALL, a, x1, y + WALL),
-    ];
+    let pieces = vec![f.rect(x0, y + WALL, x1, b), f.rect(x + WALL, a, x1, y + WALL)];
     let bath = vec![f.rect(x0, a, x, y)];
     s.space(format!("{name}/bath"), Use::Bath, bath, f.turn, Weight::Share(6.5));
     let room = s.space(name, use_, pieces, f.turn, Weight::Share(21.0));
@@ -213,7 +215,13 @@ fn suite(s: &mut Storey, f: &Frame, (x0, a, x1, b): (f64, f64, f64, f64), name: 
     light(s, room, panels);
     let hall = f64::midpoint(x + WALL, x1);
     s.door(f, (hall, a - WALL / 2.0), true, WALL, Door::None);
-    s.door(f, (x + WALL / 2.0, a + 1.2), false, WALL, if x0 < 0.0 { Door::None } else { Door::Shut });
+    s.door(
+        f,
+        (x + WALL / 2.0, a + 1.2),
+        false,
+        WALL,
+        if x0 < 0.0 { Door::None } else { Door::Shut },
+    );
 }
 
 #[cfg(test)]

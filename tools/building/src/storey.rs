@@ -243,7 +243,14 @@ impl Storey {
 
     /// A room with a flight of stairs along its west wall in the frame `f`, rising along local y:
     /// `x0..x1` by `y0..y0 + length`. The well over the flight is a piece of its own.
-    pub fn stair(&mut self, name: &str, f: &Frame, (x0, x1): (f64, f64), y0: f64, length: f64) -> usize {
+    pub fn stair(
+        &mut self,
+        name: &str,
+        f: &Frame,
+        (x0, x1): (f64, f64),
+        y0: f64,
+        length: f64,
+    ) -> usize {
         let foot = y0 + (length - RUN) / 2.0;
         let x = x0 + FLIGHT + 0.04;
         let (low, high) = (foot + WELL, foot + RUN + 0.005);
@@ -280,8 +287,9 @@ impl Storey {
 
 /// Colours by use, varied from room to room.
 fn scheme(use_: Use, k: usize) -> Scheme {
-    let bold = ["wall.blue", "wall.terracotta", "wall.green", "wall.ochre", "wall.teal", "wall.red"]
-        [k % 6];
+    let bold =
+        ["wall.blue", "wall.terracotta", "wall.green", "wall.ochre", "wall.teal", "wall.red"]
+            [k % 6];
     let soft = ["wall.cream", "wall.white", "wall.sand", "wall.sage", "wall.sky"][k % 5];
     match use_ {
         Use::Office => {

@@ -80,7 +80,7 @@ fn corridors(s: &mut Storey) {
         let rect = (x0, ROW_A.0, x1, ROW_B.1);
         let name = format!("crossing-{}", k + 1);
         let room = s.space(name, Use::Lobby, cells(&f, rect, 7.0), 90.0, Weight::Share(50.0));
-        s.spaces[room].light = Some(grid(&f, rect, (1, 2), Panel::Square, true, WARM));
+        s.spaces[room].light = Some(grid(&f, rect, (1, 2), Panel::Long, true, WARM));
         let x = f64::midpoint(x0, x1);
         s.door(&f, (x, ROW_A.0 - WALL / 2.0), true, WALL, Door::None);
         s.door(&f, (x, ROW_B.1 + WALL / 2.0), true, WALL, Door::None);
@@ -110,7 +110,13 @@ fn middle(s: &mut Storey) {
                 ("b", 3) => {
                     let (x0, x1) = span(3, 5);
                     let rect = (x0, y0, x1, y1);
-                    let room = s.space("ballroom", Use::Restaurant, cells(&f, rect, 7.0), 0.0, Weight::Triangles(171_300));
+                    let room = s.space(
+                        "ballroom",
+                        Use::Restaurant,
+                        cells(&f, rect, 7.0),
+                        0.0,
+                        Weight::Triangles(171_300),
+                    );
                     s.spaces[room].light = Some(grid(&f, rect, (6, 2), Panel::Round, true, WARM));
                     s.door(&f, (x0 + 1.5, wall), true, WALL, Door::None);
                     s.door(&f, (x1 - 1.5, wall), true, WALL, Door::None);
@@ -125,13 +131,15 @@ fn middle(s: &mut Storey) {
                     };
                     let room = s.stair(&format!("stair-{row}"), &g, (x0, x1), y0, y1 - y0);
                     let well = (x0 + 1.4, y0, x1, y1);
-                    s.spaces[room].light = Some(grid(&g, well, (1, 2), Panel::Square, true, NEUTRAL));
+                    s.spaces[room].light =
+                        Some(grid(&g, well, (1, 2), Panel::Square, true, NEUTRAL));
                     let x = g.point(x0 + 2.8, 0.0).x;
                     s.door(&f, (x, wall), true, WALL, Door::None);
                 }
                 ("a", 14) | ("b", 14) => {
                     let rects = cells(&f, rect, 7.0);
-                    let room = s.space(format!("lifts-{row}"), Use::Lift, rects, 0.0, Weight::Share(45.0));
+                    let room =
+                        s.space(format!("lifts-{row}"), Use::Lift, rects, 0.0, Weight::Share(45.0));
                     s.spaces[room].light = Some(grid(&f, rect, (2, 2), Panel::Square, true, WARM));
                     // From the corridor and from the crossing beside it.
                     s.door(&f, (x, wall), true, WALL, Door::None);
@@ -145,7 +153,8 @@ fn middle(s: &mut Storey) {
                     ] {
                         let r = (x0, y0, x1, y1);
                         let room = s.space(name, use_, cells(&f, r, 7.0), 0.0, Weight::Share(24.0));
-                        s.spaces[room].light = Some(grid(&f, r, (2, 1), Panel::Square, true, NEUTRAL));
+                        s.spaces[room].light =
+                            Some(grid(&f, r, (2, 1), Panel::Square, true, NEUTRAL));
                     }
                     s.door(&f, (x, wall), true, WALL, Door::None);
                     s.door(&f, (x + 0.9, cut - WALL / 2.0), true, WALL, Door::None);
@@ -185,13 +194,15 @@ fn suites(s: &mut Storey) {
             let (x, y) = (2.0, 2.15);
             let name = format!("{row}-{}", m + 1);
             let use_ = uses[(m * 3 + usize::from(south)) % 5];
-            let pieces = vec![f.rect(0.0, y + WALL, wide, deep), f.rect(x + WALL, 0.0, wide, y + WALL)];
+            let pieces =
+                vec![f.rect(0.0, y + WALL, wide, deep), f.rect(x + WALL, 0.0, wide, y + WALL)];
             let room = s.space(name.clone(), use_, pieces, f.turn, Weight::Share(85.0));
             let main = (0.0, y + WALL, wide, deep);
             s.spaces[room].light = Some(grid(&f, main, (2, 2), Panel::Round, true, WARM));
             let rect = vec![f.rect(0.0, 0.0, x, y)];
             let bath = s.space(format!("{name}/bath"), Use::Bath, rect, f.turn, Weight::Share(9.0));
-            s.spaces[bath].light = Some(grid(&f, (0.0, 0.0, x, y), (2, 1), Panel::Round, true, NEUTRAL));
+            s.spaces[bath].light =
+                Some(grid(&f, (0.0, 0.0, x, y), (2, 1), Panel::Round, true, NEUTRAL));
             let door = if m % 5 == 2 { Door::Open(true) } else { Door::None };
             s.door(&f, (f64::midpoint(x + WALL, wide), -WALL / 2.0), true, WALL, door);
             let door = if m % 6 == 5 { Door::Shut } else { Door::None };

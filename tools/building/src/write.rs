@@ -5,10 +5,10 @@
 //! places are a text file beside it. [`expanded`] writes one OBJ for programs that know no scenes.
 
 use crate::error::BuildingError;
+use crate::furnish::Placement;
 use crate::mesh::Mesh;
 use crate::palette::{self, Kind};
 use crate::{Building, Part};
-use crate::furnish::Placement;
 use std::fmt::Write as _;
 use std::fs;
 use std::io::Write as _;

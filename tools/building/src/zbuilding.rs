@@ -77,8 +77,13 @@ pub fn drawing() -> Drawing {
     }
     let hall = (0.3, 26.3, 11.85, 37.7);
     // The speaker's side is to the south.
-    let auditorium =
-        s.space("auditorium", Use::Auditorium, cells(&f, hall, 8.0), 0.0, Weight::Triangles(215_200));
+    let auditorium = s.space(
+        "auditorium",
+        Use::Auditorium,
+        cells(&f, hall, 8.0),
+        0.0,
+        Weight::Triangles(215_200),
+    );
     s.spaces[auditorium].light = Some(grid(&f, hall, (4, 4), Panel::Square, false, NEUTRAL));
     s.stair("stairwell", &f, (23.15, 27.7), 19.0, 6.85);
     doors(&mut s);
@@ -103,7 +108,8 @@ pub fn drawing() -> Drawing {
 
 fn doors(s: &mut Storey) {
     let f = Frame::PLAN;
-    let mut door = |x: f64, y: f64, along_x: bool, door: Door| s.door(&f, (x, y), along_x, WALL, door);
+    let mut door =
+        |x: f64, y: f64, along_x: bool, door: Door| s.door(&f, (x, y), along_x, WALL, door);
     // Off the bottom corridor, and the enfilade along the south front.
     door(18.2, 5.025, true, Door::Open(false));
     door(24.6, 5.025, true, Door::Open(false));

@@ -71,7 +71,8 @@ pub fn clearances(storey: &Storey) -> Vec<Footprint> {
 /// Boxes of a storey's door leaves.
 pub fn leaves(storey: &Storey) -> Vec<Footprint> {
     let hung = storey.gaps.iter().filter_map(fittings::leaf);
-    hung.map(|(_, p, mesh)| Footprint::of(&mesh, &Placement { stance: Stance::Stands, ..p })).collect()
+    hung.map(|(_, p, mesh)| Footprint::of(&mesh, &Placement { stance: Stance::Stands, ..p }))
+        .collect()
 }
 
 fn upright(centre: DVec2, half: (f64, f64), turn: f64, height: (f64, f64)) -> Footprint {
@@ -246,10 +247,8 @@ impl Room<'_> {
                 for attempt in 0..40 {
                     let c = &self.space.pieces[self.rng.below(self.space.pieces.len())];
                     let (low, high) = c.bounds();
-                    let at = DVec2::new(
-                        self.rng.range(low.x, high.x),
-                        self.rng.range(low.y, high.y),
-                    );
+                    let at =
+                        DVec2::new(self.rng.range(low.x, high.x), self.rng.range(low.y, high.y));
                     let quarter = 90.0 * self.rng.below(4) as f64;
                     let loose = if attempt < 20 { 5.0 } else { 1.0 };
                     let turn = self.space.turn + quarter + self.rng.around(loose);
@@ -260,14 +259,12 @@ impl Room<'_> {
                 // Along a grid, from corner to corner.
                 let turn = self.space.turn;
                 let all = self.space.pieces.iter().map(Convex::bounds);
-                let (low, high) = all
-                    .reduce(|a, b| (a.0.min(b.0), a.1.max(b.1)))
-                    .unwrap_or_default();
+                let (low, high) =
+                    all.reduce(|a, b| (a.0.min(b.0), a.1.max(b.1))).unwrap_or_default();
                 let n = 9;
                 for k in 0..n * n * 2 {
                     let at = low
-                        + (high - low)
-                            * DVec2::new((k % n) as f64 + 0.5, (k / n % n) as f64 + 0.5)
+                        + (high - low) * DVec2::new((k % n) as f64 + 0.5, (k / n % n) as f64 + 0.5)
                             / n as f64;
                     let turn = turn + if k < n * n { 0.0 } else { 90.0 };
                     if self.put(stock, mesh, pose(at, z, turn)) {
@@ -286,66 +283,147 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
         Use::Office => (
             &["island", "bookcase", "picture", "ficus"],
             &[
-                "bookcase", "workplace", "bookcase", "palm", "island", "sideboard", "picture",
-                "ficus", "coats", "low-bookcase", "basket", "vitrine", "narrow-bookcase",
+                "bookcase",
+                "workplace",
+                "bookcase",
+                "palm",
+                "island",
+                "sideboard",
+                "picture",
+                "ficus",
+                "coats",
+                "low-bookcase",
+                "basket",
+                "vitrine",
+                "narrow-bookcase",
                 "narrow-vitrine",
             ],
         ),
         Use::Meeting => (
             &["conference-8", "whiteboard", "meeting-round", "sideboard", "picture"],
             &[
-                "meeting-round", "bookcase", "ficus", "television", "palm", "sideboard",
-                "armchair", "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
+                "meeting-round",
+                "bookcase",
+                "ficus",
+                "television",
+                "palm",
+                "sideboard",
+                "armchair",
+                "picture",
+                "vitrine",
+                "narrow-bookcase",
+                "narrow-vitrine",
             ],
         ),
         Use::Lounge => (
             &["lounge", "bookcase", "picture", "ficus"],
             &[
-                "bookcase", "sofa", "lounge", "palm", "cafe", "chandelier", "armchair", "sideboard",
-                "ficus", "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
+                "bookcase",
+                "sofa",
+                "lounge",
+                "palm",
+                "cafe",
+                "chandelier",
+                "armchair",
+                "sideboard",
+                "ficus",
+                "picture",
+                "vitrine",
+                "narrow-bookcase",
+                "narrow-vitrine",
             ],
         ),
         Use::Bedroom => (
             &["bed", "wardrobe", "workplace", "picture"],
             &[
-                "sofa", "lounge-chair", "bookcase", "palm", "clothes", "mirror", "ficus",
-                "armchair", "sideboard", "picture", "cafe", "chandelier", "coats", "vitrine",
-                "bookcase", "narrow-bookcase", "narrow-vitrine",
+                "sofa",
+                "lounge-chair",
+                "bookcase",
+                "palm",
+                "clothes",
+                "mirror",
+                "ficus",
+                "armchair",
+                "sideboard",
+                "picture",
+                "cafe",
+                "chandelier",
+                "coats",
+                "vitrine",
+                "bookcase",
+                "narrow-bookcase",
+                "narrow-vitrine",
             ],
         ),
         Use::Bath => (
             &["bathtub", "washplace", "toilet", "towels"],
             &[
-                "snake-plant", "towels", "washplace", "washing-machine", "palm", "basket", "ficus",
+                "snake-plant",
+                "towels",
+                "washplace",
+                "washing-machine",
+                "palm",
+                "basket",
+                "ficus",
                 "narrow-vitrine",
             ],
         ),
         Use::Washroom => (
             &["washplace", "toilet", "toilet", "washplace", "towels", "washplace", "toilet"],
             &[
-                "washplace", "toilet", "towels", "palm", "basket", "mirror", "clothes", "ficus",
+                "washplace",
+                "toilet",
+                "towels",
+                "palm",
+                "basket",
+                "mirror",
+                "clothes",
+                "ficus",
                 "narrow-vitrine",
             ],
         ),
         Use::Kitchen => (
             &["kitchen", "fridge", "dining"],
             &[
-                "kitchen", "dining", "sideboard", "ficus", "cafe", "clock", "basket", "palm",
+                "kitchen",
+                "dining",
+                "sideboard",
+                "ficus",
+                "cafe",
+                "clock",
+                "basket",
+                "palm",
                 "vitrine",
             ],
         ),
         Use::Store => (
             &["rack", "rack", "carton"],
             &[
-                "rack", "carton", "rack", "short-rack", "clothes", "mop", "bookcase", "carton",
-                "narrow-bookcase", "vitrine", "palm",
+                "rack",
+                "carton",
+                "rack",
+                "short-rack",
+                "clothes",
+                "mop",
+                "bookcase",
+                "carton",
+                "narrow-bookcase",
+                "vitrine",
+                "palm",
             ],
         ),
         Use::Stair => (&["picture"], &["ficus", "palm", "picture", "snake-plant"]),
         Use::Corridor => (
             &["picture", "bench"],
             &[
-                "low-bookcase", "picture", "ficus", "bench", "palm", "bookcase", "mirror", "clock",
+                "low-bookcase",
+                "picture",
+                "ficus",
+                "bench",
+                "palm",
+                "bookcase",
+                "mirror",
+                "clock",
                 "vitrine",
             ],
         ),
@@ -356,8 +434,17 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
         Use::Library => (
             &["reading", "stack", "chandelier"],
             &[
-                "stack", "bookcase", "stack", "reading", "bookcase", "stack", "lounge", "ficus",
-                "bookcase", "narrow-bookcase", "vitrine",
+                "stack",
+                "bookcase",
+                "stack",
+                "reading",
+                "bookcase",
+                "stack",
+                "lounge",
+                "ficus",
+                "bookcase",
+                "narrow-bookcase",
+                "vitrine",
             ],
         ),
         Use::Auditorium => (
@@ -367,21 +454,46 @@ fn list(use_: Use) -> (&'static [&'static str], &'static [&'static str]) {
         Use::Restaurant => (
             &["buffet", "cafe", "cafe", "dining", "cafe", "picture", "cafe"],
             &[
-                "cafe", "dining", "cafe", "cafe", "ficus", "sideboard", "cafe", "palm",
-                "chandelier", "buffet", "vitrine",
+                "cafe",
+                "dining",
+                "cafe",
+                "cafe",
+                "ficus",
+                "sideboard",
+                "cafe",
+                "palm",
+                "chandelier",
+                "buffet",
+                "vitrine",
             ],
         ),
         Use::Studio => (
             &["workbench", "easel", "easel", "rack"],
             &[
-                "workbench", "bookcase", "easel", "workplace", "ficus", "rack", "lounge",
-                "picture", "vitrine", "narrow-bookcase", "narrow-vitrine",
+                "workbench",
+                "bookcase",
+                "easel",
+                "workplace",
+                "ficus",
+                "rack",
+                "lounge",
+                "picture",
+                "vitrine",
+                "narrow-bookcase",
+                "narrow-vitrine",
             ],
         ),
         Use::Lobby => (
             &["buffet", "lounge", "palm"],
             &[
-                "ficus", "lounge", "palm", "sofa", "picture", "cafe", "sideboard", "bookcase",
+                "ficus",
+                "lounge",
+                "palm",
+                "sofa",
+                "picture",
+                "cafe",
+                "sideboard",
+                "bookcase",
                 "vitrine",
             ],
         ),
@@ -396,7 +508,8 @@ struct Rows(&'static str, f64, f64, f64, [f64; 3]);
 /// an aisle in the middle: seats of an auditorium, stacks of a library.
 fn rows(room: &mut Room<'_>, stock: &mut Stock, how: &Rows, target: u64) {
     let &Rows(name, along, between, aisle, [side, front, back]) = how;
-    let frame = crate::outline::Frame { origin: room.space.pieces[0].middle(), turn: room.space.turn };
+    let frame =
+        crate::outline::Frame { origin: room.space.pieces[0].middle(), turn: room.space.turn };
     let local: Vec<DVec2> =
         room.space.pieces.iter().flat_map(|c| c.0.iter().map(|&p| frame.local(p))).collect();
     let low = local.iter().copied().reduce(DVec2::min).unwrap_or_default();
@@ -416,7 +529,8 @@ fn rows(room: &mut Room<'_>, stock: &mut Stock, how: &Rows, target: u64) {
                 let mesh = stock.get(piece, variant);
                 let p = frame.point(at, y + room.rng.around(0.02));
                 let turn = frame.turn + room.rng.around(0.3);
-                let pose = Placement { stance: Stance::Stands, ..Placement::new(p.x, p.y, 0.001, turn) };
+                let pose =
+                    Placement { stance: Stance::Stands, ..Placement::new(p.x, p.y, 0.001, turn) };
                 if room.triangles < target {
                     room.put(stock, mesh, pose);
                 }
@@ -428,7 +542,13 @@ fn rows(room: &mut Room<'_>, stock: &mut Stock, how: &Rows, target: u64) {
 
 /// Furnishes a storey so that it has about `target` triangles in furniture. `label` keys the
 /// random numbers. The bits depend on the arguments alone.
-pub fn furnish(storey: &Storey, target: u64, seed: u64, label: &str, stock: &mut Stock) -> Furnishing {
+pub fn furnish(
+    storey: &Storey,
+    target: u64,
+    seed: u64,
+    label: &str,
+    stock: &mut Stock,
+) -> Furnishing {
     let zones = Zones::new(storey);
     let mut out = Vec::new();
     // Rooms with a number of their own first, small shares before large ones: what one room has no
@@ -466,7 +586,9 @@ pub fn furnish(storey: &Storey, target: u64, seed: u64, label: &str, stock: &mut
             fill(&mut room, stock, goal as u64);
         }
         left -= room.triangles as f64;
-        out.extend(room.out.into_iter().map(|(mesh, p)| (mesh, i, Placement { room: Some(i), ..p })));
+        out.extend(
+            room.out.into_iter().map(|(mesh, p)| (mesh, i, Placement { room: Some(i), ..p })),
+        );
     }
     out
 }
@@ -489,7 +611,14 @@ fn dress(storey: &Storey, room: &mut Room<'_>, stock: &mut Stock) {
                 });
                 let back = stock.bounds[mesh].1.y + 0.02;
                 let p = face + inward * back;
-                room.put(stock, mesh, Placement { stance: Stance::Stands, ..Placement::new(p.x, p.y, 0.001, turn + 180.0) });
+                room.put(
+                    stock,
+                    mesh,
+                    Placement {
+                        stance: Stance::Stands,
+                        ..Placement::new(p.x, p.y, 0.001, turn + 180.0)
+                    },
+                );
             }
             if room.rng.unit() < 0.75 {
                 let k = room.rng.below(3);
@@ -500,7 +629,10 @@ fn dress(storey: &Storey, room: &mut Room<'_>, stock: &mut Stock) {
                 let p = face + inward * 0.075;
                 let z = g.height.1 + 0.1;
                 // Blinds hang in the zone that is kept free for them.
-                let pose = Placement { stance: Stance::Rests, ..Placement::new(p.x, p.y, z, turn + 180.0) };
+                let pose = Placement {
+                    stance: Stance::Rests,
+                    ..Placement::new(p.x, p.y, z, turn + 180.0)
+                };
                 room.put(stock, mesh, pose);
             }
         }
@@ -525,7 +657,7 @@ fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64) {
     }
     if room.space.use_ == Use::Library && room.space.area() > 100.0 {
         rows(room, stock, &Rows("reading", 3.6, 2.6, 0.8, [6.0, 7.0, 8.4]), u64::MAX);
-        rows(room, stock, &Rows("stack", 1.23, 1.55, 1.6, [0.9, 0.8, 0.8]), goal - goal / 40);
+        rows(room, stock, &Rows("stack", 1.23, 2.15, 1.6, [0.9, 0.8, 0.8]), goal - goal / 40);
     }
     let mut failed = 0;
     // A room that is to hold much begins with what holds much: cabinets.

@@ -101,7 +101,11 @@ const CATALOGUE: &[Piece] = &[
     }),
     rare(2, "clothes", 2, Wall(0.0), |k, r| storage::clothes(1.6, 12 + k, r)),
     piece("vitrine", 3, Wall(0.0), |k, r| {
-        fine::vitrine(["wood.oak", "wood.walnut", "lacquer.white"][k % 3], [1.2, 1.5, 1.0][k % 3], r)
+        fine::vitrine(
+            ["wood.oak", "wood.walnut", "lacquer.white"][k % 3],
+            [1.2, 1.5, 1.0][k % 3],
+            r,
+        )
     }),
     piece("narrow-vitrine", 3, Wall(0.0), |k, r| {
         fine::vitrine(["wood.oak", "lacquer.white", "wood.cherry"][k % 3], 0.62, r)

@@ -1,8 +1,8 @@
 //! Pieces for halls and towers: seats in rows, cabinets of bottles, blinds, lift doors.
 
 use crate::mesh::{
-    Mesh, Paint, all, bevelled, cuboid, curve, cushion, lathe, plate, rounded, sheet, sin_cos, soft,
-    tube, v,
+    Mesh, Paint, all, bevelled, cuboid, curve, cushion, lathe, plate, rounded, sheet, sin_cos,
+    soft, tube, v,
 };
 use crate::rng::Rng;
 
@@ -18,11 +18,11 @@ pub fn theatre_seat(cloth: Paint, rng: &mut Rng) -> Mesh {
     }
     let back = cushion(cloth, v(0.48, 0.1, 0.62), 0.04, 0.02, 2, 4);
     m.add(back.tipped(-9.0).at(0.0, 0.2, 0.42));
-    m.add(rounded("wood.walnut", v(-0.25, 0.245, 0.3), v(0.25, 0.275, 1.0), 0.01, 1).tipped(-4.0).at(
-        0.0,
-        0.06,
-        0.0,
-    ));
+    m.add(
+        rounded("wood.walnut", v(-0.25, 0.245, 0.3), v(0.25, 0.275, 1.0), 0.01, 1)
+            .tipped(-4.0)
+            .at(0.0, 0.06, 0.0),
+    );
     m.add(rounded("metal.dark", v(0.262, -0.2, 0.0), v(0.292, 0.26, 0.58), 0.01, 1));
     m.add(soft("wood.walnut", 0.07, 0.42, 0.04, 0.014, 3).at(0.277, 0.0, 0.581));
     m
@@ -31,10 +31,12 @@ pub fn theatre_seat(cloth: Paint, rng: &mut Rng) -> Mesh {
 /// A row of `count` theatre seats, centred, facing -y.
 pub fn seat_row(cloth: Paint, count: usize, mut rng: Rng) -> Mesh {
     let half = 0.28 * (count as f64 - 1.0);
-    let mut m = all((0..count).map(|k| {
-        theatre_seat(cloth, &mut rng).at(0.56 * k as f64 - half, 0.0, 0.0)
-    }));
-    m.add(rounded("metal.dark", v(-0.292, -0.2, 0.0), v(-0.262, 0.26, 0.58), 0.01, 1).at(-half, 0.0, 0.0));
+    let mut m =
+        all((0..count).map(|k| theatre_seat(cloth, &mut rng).at(0.56 * k as f64 - half, 0.0, 0.0)));
+    m.add(
+        rounded("metal.dark", v(-0.292, -0.2, 0.0), v(-0.262, 0.26, 0.58), 0.01, 1)
+            .at(-half, 0.0, 0.0),
+    );
     m.add(soft("wood.walnut", 0.07, 0.42, 0.04, 0.014, 3).at(-half - 0.277, 0.0, 0.581));
     m
 }
@@ -109,11 +111,8 @@ pub fn vitrine(wood: Paint, width: f64, mut rng: Rng) -> Mesh {
                 let r = rng.range(0.03, 0.046);
                 let tall = rng.range(0.2, 0.31) * if row > 0.0 { 0.85 } else { 1.0 };
                 let paint = rng.pick(&paints);
-                let thing = if rng.unit() < 0.75 {
-                    bottle(paint, r, tall)
-                } else {
-                    bowl(paint, r * 1.2)
-                };
+                let thing =
+                    if rng.unit() < 0.75 { bottle(paint, r, tall) } else { bowl(paint, r * 1.2) };
                 m.add(thing.turned(rng.range(0.0, 360.0)).at(x, y + rng.around(0.008), z + 0.001));
                 x += rng.range(0.095, 0.115);
             }
@@ -137,7 +136,13 @@ pub fn blind(paint: Paint, width: f64, drop: f64) -> Mesh {
         m.add(slat.tipped(32.0).at(0.0, 0.0, z));
     }
     let bottom = -0.075 - 0.04 * count as f64;
-    m.add(rounded("metal.steel", v(-w + 0.01, -0.018, bottom - 0.01), v(w - 0.01, 0.018, bottom + 0.01), 0.005, 1));
+    m.add(rounded(
+        "metal.steel",
+        v(-w + 0.01, -0.018, bottom - 0.01),
+        v(w - 0.01, 0.018, bottom + 0.01),
+        0.005,
+        1,
+    ));
     for x in [-w * 0.6, w * 0.6] {
         m.add(tube("fabric.white", &[v(x, -0.028, -0.04), v(x, -0.028, bottom)], 0.0018, 4));
     }
@@ -155,7 +160,8 @@ pub fn lift_doors() -> Mesh {
         rounded("plastic.black", v(0.86, -0.015, 1.0), v(0.94, 0.0, 1.22), 0.004, 1),
     ]);
     for z in [1.06, 1.16] {
-        let knob = lathe("metal.brass", &[(0.0, 0.0), (0.016, 0.0), (0.014, 0.006), (0.0, 0.006)], 12);
+        let knob =
+            lathe("metal.brass", &[(0.0, 0.0), (0.016, 0.0), (0.014, 0.006), (0.0, 0.006)], 12);
         m.add(knob.tipped(90.0).at(0.9, -0.0155, z));
     }
     m

@@ -31,7 +31,12 @@ const SHELLS: [Paint; 4] = ["lacquer.yellow", "lacquer.white", "lacquer.green", 
 pub fn desk(k: usize, mut rng: Rng) -> Mesh {
     let mut m = tables::desk(WOOD[k % 3], "lacquer.grey", 1.6);
     let chair = seating::office_chair(CLOTH[k % 8], true);
-    put(&mut m, chair, (rng.around(0.12), -0.72 + rng.around(0.05), 0.001), 180.0 + rng.around(30.0));
+    put(
+        &mut m,
+        chair,
+        (rng.around(0.12), -0.72 + rng.around(0.05), 0.001),
+        180.0 + rng.around(30.0),
+    );
     desktop(&mut m, k, (0.0, 0.0), 0.0, &mut rng);
     m
 }
@@ -168,10 +173,20 @@ pub fn lounge(k: usize, mut rng: Rng) -> Mesh {
     let sofa = seating::sofa(cloth, ["fabric.mustard", "fabric.cream"], 3);
     let mut m = Mesh::new();
     put(&mut m, sofa, (0.0, 1.05, 0.001), rng.around(2.0));
-    put(&mut m, tables::coffee_table("wood.walnut", 1.0, 0.55), (0.0, 0.05, 0.001), rng.around(5.0));
+    put(
+        &mut m,
+        tables::coffee_table("wood.walnut", 1.0, 0.55),
+        (0.0, 0.05, 0.001),
+        rng.around(5.0),
+    );
     for s in [-1.0, 1.0] {
         let chair = seating::armchair(CLOTH[(k + 5) % 8], "wood.walnut");
-        put(&mut m, chair, (s * 0.75, -1.05 + rng.around(0.08), 0.001), 180.0 + s * 20.0 + rng.around(10.0));
+        put(
+            &mut m,
+            chair,
+            (s * 0.75, -1.05 + rng.around(0.08), 0.001),
+            180.0 + s * 20.0 + rng.around(10.0),
+        );
     }
     put(&mut m, decor::book_pile(4, rng.clone()), (-0.25, 0.1, 0.399), 20.0);
     put(&mut m, decor::mug(CUPS[k % 5]), (0.2, -0.05, 0.399), 0.0);
@@ -211,7 +226,12 @@ pub fn sideboard(k: usize, mut rng: Rng) -> Mesh {
     match k % 3 {
         0 => put(&mut m, decor::globe(), (w * 0.8, 0.0, z), 40.0),
         1 => put(&mut m, decor::table_lamp("metal.brass", "lacquer.green"), (w * 0.8, 0.0, z), 0.0),
-        _ => put(&mut m, decor::flowers("ceramic.blue", "lacquer.red", rng.clone()), (w * 0.8, 0.0, z), 0.0),
+        _ => put(
+            &mut m,
+            decor::flowers("ceramic.blue", "lacquer.red", rng.clone()),
+            (w * 0.8, 0.0, z),
+            0.0,
+        ),
     }
     let fruit = decor::fruit_bowl("ceramic.white", ["fruit.lime", "fruit.apple"], rng);
     put(&mut m, fruit, (w * 0.3, 0.0, z), 0.0);

@@ -49,7 +49,11 @@ pub fn write(building: &Building, path: &Path) -> Result<(), BuildingError> {
     put_with(&path.with_file_name(&name), |out| {
         out.write_all(super::mtl(building.request.kind).as_bytes())?;
         for (panel, ke) in &panels {
-            writeln!(out, "newmtl {panel}\nKd 0.78 0.78 0.77\nKe {}\nillum 1", ke.map(number).join(" "))?;
+            writeln!(
+                out,
+                "newmtl {panel}\nKd 0.78 0.78 0.77\nKe {}\nillum 1",
+                ke.map(number).join(" ")
+            )?;
         }
         Ok(())
     })?;
