@@ -1,51 +1,67 @@
 //! Prints what a building is made of, and what is wrong with it.
 //!
-//! `cargo run -p enf-building --example audit [-- SEED [SCENE.toml]]`; with a file it is built.
+//! `cargo run -p enf-building --example audit [-- KIND [SEED [FLOORS [FILE]]]]`; with a file, a
+//! scene or an OBJ by its ending, it is built and nothing printed but the summary.
 
+use enf_building::carcass::Carcass;
 use enf_building::furnish::{Footprint, Stance, clearances, leaves};
 use enf_building::mesh::is_closed;
-use enf_building::{Kind, Request, design};
+use enf_building::{Kind, Request, assemble, design, octagon, tower, zbuilding};
+use std::error::Error;
 
-fn main() -> Result<(), enf_building::BuildingError> {
-    let seed = std::env::args().nth(1).and_then(|s| s.parse().ok()).unwrap_or(1);
-    let request = Request { kind: Kind::LShape, floors: None, seed };
-    if let Some(path) = std::env::args().nth(2) {
-        enf_building::generate(&request, std::path::Path::new(&path))?;
+fn drawing(kind: Kind) -> Option<assemble::Drawing> {
+    match kind {
+        Kind::ZBuilding => Some(zbuilding::drawing()),
+        Kind::Octagon => Some(octagon::drawing()),
+        Kind::Tower => Some(tower::drawing()),
+        _ => None,
     }
-    let b = design(&request)?;
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let argument = |n: usize| std::env::args().nth(n);
+    let kind: Kind = argument(1).as_deref().unwrap_or("l-shape").parse()?;
+    let seed = argument(2).and_then(|s| s.parse().ok()).unwrap_or(1);
+    let floors = argument(3).and_then(|s| s.parse().ok());
+    let b = design(&Request { kind, floors, seed })?;
     println!("{:?}", b.summary());
-    let mut rooms = vec![0usize; b.plan.rooms.len() + 1];
-    let mut shares = std::collections::BTreeMap::new();
-    b.for_each_triangle(|part, _, t| {
-        let c = (t[0] + t[1] + t[2]) / 3.0;
-        // Walls belong to the room they face.
-        let n = (t[1] - t[0]).cross(t[2] - t[0]).normalize_or_zero() * 0.01;
-        let room = b.plan.room_at(c).or(b.plan.room_at(c + n)).or(b.plan.room_at(c - n));
-        rooms[room.unwrap_or(b.plan.rooms.len())] += 1;
-        *shares.entry((room, part)).or_insert(0usize) += 1;
-    });
-    for (r, room) in b.plan.rooms.iter().enumerate() {
-        println!("{:>7}  {:20} {:5.1} m2", rooms[r], room.name, room.area());
-        let mut list: Vec<_> = shares.iter().filter(|((q, _), _)| *q == Some(r)).collect();
-        list.sort_by_key(|(_, n)| std::cmp::Reverse(**n));
-        let text: Vec<_> =
-            list.iter().map(|((_, p), n)| format!("{} {n}", b.parts[*p].name)).collect();
-        println!("           {}", text.join(", "));
+    if let Some(file) = argument(4) {
+        let path = std::path::Path::new(&file);
+        if file.ends_with(".obj") {
+            enf_building::write::expanded::write(&b, path)?;
+        } else {
+            enf_building::write::write(&b, path)?;
+        }
+        return Ok(());
     }
-    let inside: usize = rooms[..b.plan.rooms.len()].iter().sum();
+    let resident: usize =
+        b.parts.iter().map(|p| p.mesh.triangles.len() * 12 + p.mesh.points.len() * 12).sum();
+    let copies: usize = b.parts.iter().map(|p| p.copies.len()).sum();
+    println!("{} parts, {} copies, meshes {:.1} MB", b.parts.len(), copies, resident as f64 / 1e6);
+    let rooms = b.triangles_by_room();
+    let inside = &rooms[..rooms.len() - 1];
     println!(
-        "{:>7}  elsewhere; mean in rooms {}",
-        rooms[b.plan.rooms.len()],
-        inside / b.plan.rooms.len()
+        "per room: mean {}, max {}; outside {}",
+        inside.iter().sum::<u64>() / inside.len() as u64,
+        inside.iter().max().unwrap_or(&0),
+        rooms[inside.len()]
     );
-    let mut parts: Vec<_> = b.parts.iter().collect();
-    parts.sort_by_key(|p| std::cmp::Reverse(p.mesh.triangles.len() * p.copies.len()));
-    for p in parts {
-        let flags = match (is_closed(&p.mesh), p.mesh.volume() > 0.0) {
-            (true, true) => "",
-            (true, false) => "INWARD",
-            (false, _) => "open",
-        };
+    for (r, room) in b.plan.rooms.iter().enumerate().take(240) {
+        println!("{:>7}  {:28} {:5.1} m2", rooms[r], room.name, room.area());
+    }
+    if let Some(d) = drawing(kind) {
+        let carcass = Carcass::new(&d.footprint, &d.storeys);
+        for s in &d.storeys {
+            for g in carcass.blind(s) {
+                println!("BLIND {:?} in {}", s.gaps[g], d.name);
+            }
+        }
+    }
+    for p in &b.parts {
+        let mut flags = String::new();
+        if !is_closed(&p.mesh) {
+            flags.push_str("open ");
+        }
         let flat = (0..p.mesh.triangles.len())
             .filter(|&i| {
                 let [a, b, c] = p.mesh.corners(i).map(|p| (p * 1e5).round() / 1e5);
@@ -58,13 +74,16 @@ fn main() -> Result<(), enf_building::BuildingError> {
         }
         let (low, high) = p.mesh.bounds();
         println!(
-            "{:>7} = {:>6} x {:<3} {:24} {:?} {flags}",
+            "{:>9} = {:>6} x {:<5} {:24} {:?} {flags}",
             p.mesh.triangles.len() * p.copies.len(),
             p.mesh.triangles.len(),
             p.copies.len(),
             p.name,
             (high - low).to_array().map(|c| (c * 100.0).round() / 100.0)
         );
+    }
+    if kind != Kind::LShape {
+        return Ok(());
     }
     let zones = clearances(&b.plan);
     let open = leaves(&b.plan);

@@ -1,23 +1,26 @@
 //! Looks at a building before any of it is simulated: a small path tracer for its views, and
 //! floor plans seen from the ceiling.
 //!
-//! `cargo run --release -p enf-building --example preview -- FOLDER [SAMPLES] [NAME...]`
-//! where NAME is a view, `plan-0`, `plan-1` or `eye:X,Y,Z,X,Y,Z,FOV`.
+//! `cargo run --release -p enf-building --example preview -- FOLDER [KIND [SAMPLES [NAME...]]]`
+//! where NAME is a view, `plan-0`, `plan-1` or `eye:X,Y,Z,X,Y,Z,FOV`. Of a tower, one floor.
 
-use enf_building::palette::{Kind as Paint, PANEL, kind};
+use enf_building::palette::{self, Kind as Paint, PANEL};
 use enf_building::plan::View;
 use enf_building::rng::Rng;
 use enf_building::{Building, Kind, Request, design};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec2, Vec3};
 use std::error::Error;
 use std::path::Path;
+
+/// What the panels are made of.
+static LIT: Paint = Paint::Matt([0.78; 3]);
 
 struct Triangle {
     a: Vec3,
     e1: Vec3,
     e2: Vec3,
     n: Vec3,
-    paint: Paint,
+    paint: &'static Paint,
     glow: Vec3,
 }
 
@@ -36,6 +39,8 @@ struct World {
     triangles: Vec<Triangle>,
     nodes: Vec<Node>,
     lights: Vec<u32>,
+    /// The room of each emitting triangle.
+    home: std::collections::BTreeMap<u32, Option<usize>>,
 }
 
 impl World {
@@ -68,7 +73,8 @@ impl World {
                 let scale = lamp.lumens / (std::f64::consts::PI * area * y);
                 glow = Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32) * scale as f32;
             }
-            let paint = kind(t.paint).unwrap_or(Paint::Matt([0.78; 3]));
+            let known = palette::all().find(|(name, _)| *name == t.paint);
+            let paint = known.map_or(&LIT, |(_, kind)| kind);
             triangles.push(Triangle {
                 a,
                 e1,
@@ -84,6 +90,7 @@ impl World {
             triangles,
             nodes: Vec::new(),
             lights: Vec::new(),
+            home: std::collections::BTreeMap::new(),
         };
         world.build();
         world.lights = (0..world.triangles.len() as u32)
@@ -92,7 +99,9 @@ impl World {
         world.own = vec![Vec::new(); world.plan.rooms.len()];
         for &i in &world.lights {
             let t = &world.triangles[i as usize];
-            if let Some(room) = world.plan.room_at(t.a.as_dvec3()) {
+            let room = world.plan.room_at(t.a.as_dvec3());
+            world.home.insert(i, room);
+            if let Some(room) = room {
                 world.own[room].push(i);
             }
         }
@@ -238,7 +247,7 @@ impl World {
                     d -= n * (2.0 * d.dot(n));
                     o = p + n * 1e-4;
                 }
-                Paint::Matt(kd) => {
+                Paint::Matt(kd) | Paint::Gloss(kd, _) => {
                     weight *= Vec3::new(kd[0] as f32, kd[1] as f32, kd[2] as f32);
                     sum += weight * self.direct(p + n * 2e-4, n, rng);
                     bounce += 1;
@@ -277,7 +286,7 @@ impl World {
             let r2 = to.length_squared();
             let d = to / r2.sqrt();
             let g = n.dot(d).max(0.0) * (-t.n.dot(d)).max(0.0) / r2.max(0.01);
-            let here = room == self.plan.room_at(t.a.as_dvec3()) && !own.is_empty();
+            let here = self.home.get(&(i as u32)) == Some(&room) && !own.is_empty();
             let all = 1.0 / self.lights.len() as f32;
             let density = match (own.is_empty(), here) {
                 (true, _) => all,
@@ -354,24 +363,42 @@ fn render(
     image
 }
 
+/// The rooms' bounds in plan, a little wider.
+fn extent(rooms: &[&enf_building::plan::Room]) -> (Vec2, Vec2) {
+    let corners = rooms.iter().flat_map(|r| {
+        let own = r.rects.iter().flat_map(|q| [(q.x0, q.y0), (q.x1, q.y1)]);
+        own.chain(r.pieces.iter().flat_map(|c| c.0.iter().map(|p| (p.x, p.y)))).collect::<Vec<_>>()
+    });
+    let (mut low, mut high) = (Vec2::splat(f32::MAX), Vec2::splat(f32::MIN));
+    for (x, y) in corners {
+        let p = Vec2::new(x as f32, y as f32);
+        (low, high) = (low.min(p), high.max(p));
+    }
+    (low - 0.6, high + 0.6)
+}
+
 fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let folder = Path::new(args.first().map_or(".", String::as_str)).to_owned();
-    let samples: u32 = args.get(1).and_then(|s| s.parse().ok()).unwrap_or(16);
-    let b = design(&Request { kind: Kind::LShape, floors: None, seed: 1 })?;
+    let kind: Kind = args.get(1).map_or("l-shape", String::as_str).parse()?;
+    let samples: u32 = args.get(2).and_then(|s| s.parse().ok()).unwrap_or(16);
+    let floors = (kind == Kind::Tower).then_some(1);
+    let b = design(&Request { kind, floors, seed: 1 })?;
     let world = World::new(&b);
-    let mut names: Vec<String> = args.iter().skip(2).cloned().collect();
+    let mut names: Vec<String> = args.iter().skip(3).cloned().collect();
     if names.is_empty() {
         names = b.plan.views.iter().map(|v| v.name.clone()).collect();
         names.extend((0..b.plan.storeys).map(|s| format!("plan-{s}")));
     }
     for (k, name) in names.iter().enumerate() {
-        if let Some(storey) = name.strip_prefix("plan-").and_then(|s| s.parse::<f32>().ok()) {
-            let scale = 60.0;
-            let (w, h) = ((24.1 * scale) as u32, (23.4 * scale) as u32);
-            let z = storey * 3.1 + 2.6;
+        if let Some(storey) = name.strip_prefix("plan-").and_then(|s| s.parse::<u32>().ok()) {
+            let here: Vec<_> = b.plan.rooms.iter().filter(|r| r.storey == storey).collect();
+            let z = here.iter().map(|r| r.height.0).fold(f64::MAX, f64::min) as f32 + 2.6;
+            let (low, high) = extent(&here);
+            let scale = (2000.0 / (high - low).max_element()).min(60.0);
+            let (w, h) = (((high.x - low.x) * scale) as u32, ((high.y - low.y) * scale) as u32);
             let image = render(&world, (w, h), 1, |world, x, y, _| {
-                let o = Vec3::new(x as f32 / scale - 0.2, 23.2 - y as f32 / scale, z);
+                let o = Vec3::new(low.x + x as f32 / scale, high.y - y as f32 / scale, z);
                 let Some((t, i)) = world.hit(o, -Vec3::Z, 1e9) else { return Vec3::ZERO };
                 let tri = &world.triangles[i];
                 if tri.n.z < 0.0 {
@@ -379,7 +406,9 @@ fn main() -> Result<(), Box<dyn Error>> {
                 }
                 let light = 0.35 + 0.65 * tri.n.dot(Vec3::new(0.35, 0.45, 0.82)).max(0.0);
                 let c = match tri.paint {
-                    Paint::Matt(c) => Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32),
+                    Paint::Matt(c) | Paint::Gloss(c, _) => {
+                        Vec3::new(c[0] as f32, c[1] as f32, c[2] as f32)
+                    }
                     _ => Vec3::new(0.3, 0.6, 0.9),
                 };
                 c * light * (1.25 - 0.18 * t)

@@ -16,8 +16,19 @@ pub enum BuildingError {
         most: u32,
     },
     /// The kind of building is unknown.
-    #[error("no building is called `{0}`; there is: l-shape")]
+    #[error("no building is called `{0}`; there are: l-shape, z-building, octagon, tower")]
     Kind(String),
+    /// One OBJ would be too large for anybody to read.
+    #[error(
+        "{triangles} triangles are too many for one OBJ file (at most {most}); \
+         choose fewer --floors, or --format scene, which places meshes instead of copying them"
+    )]
+    Large {
+        /// Triangles of the building.
+        triangles: u64,
+        /// The most that are written.
+        most: u64,
+    },
     /// The output path names no file.
     #[error("{0}: not a file name to write a scene to; give one such as scene.toml")]
     Path(PathBuf),

@@ -3,6 +3,8 @@
 //! Each room has a list of what stands where, as in a drawing. The seed nudges and turns things
 //! within what is free: not through a wall, not into each other, not in a doorway.
 
+pub mod auto;
+mod catalogue;
 mod rooms;
 
 use crate::Part;
@@ -91,7 +93,11 @@ pub struct Footprint {
 impl Footprint {
     /// The box of a copy of a mesh.
     pub fn of(mesh: &Mesh, p: &Placement) -> Self {
-        let (low, high) = mesh.bounds();
+        Self::of_bounds(mesh.bounds(), p)
+    }
+
+    /// The box of a copy of a mesh with these bounds.
+    pub fn of_bounds((low, high): (DVec3, DVec3), p: &Placement) -> Self {
         let mid = p.apply((low + high) / 2.0);
         Self {
             centre: DVec2::new(mid.x, mid.y),

@@ -4,7 +4,9 @@
 //! what hangs on a wall has its back at the greatest y. Metres.
 
 pub mod decor;
+pub mod fine;
 pub mod seating;
+pub mod sets;
 pub mod storage;
 pub mod tables;
 pub mod wet;

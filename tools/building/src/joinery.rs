@@ -35,11 +35,9 @@ pub fn build(plan: &Plan) -> Vec<Part> {
             Filling::Entrance => {
                 windows.add(set(entrance(w, h)).named(format!("entrance-{i}")));
             }
-            Filling::Doorway(open) => {
+            Filling::Doorway(_) | Filling::Shut(_) => {
                 casings.add(set(casing(w, h, t)).named(format!("casing-{i}")));
-                if let Some(l) = open {
-                    let (copy, mesh) = leaf(o, &l);
-                    let name = l.paint.replace('.', "-leaf-");
+                if let Some((name, copy, mesh)) = hung(o) {
                     match doors.iter_mut().find(|p| p.name == name) {
                         Some(part) => part.copies.push(copy),
                         None => doors.push(Part {
@@ -125,7 +123,7 @@ fn glazing(paint: Paint, w: f64, h: f64, sashes: u32, (y0, y1): (f64, f64)) -> M
 }
 
 /// A window in its opening; local +y is inside.
-fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
+pub(crate) fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
     let mut m = glazing("frame.white", w, h, sashes, (-0.07, -0.01));
     // Handles on the sashes, a board inside, a drip sill outside.
     for k in 1..sashes {
@@ -145,7 +143,7 @@ fn window(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
 }
 
 /// A fixed glass screen with dark slender bars.
-fn screen(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
+pub(crate) fn screen(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
     let d = t / 2.0;
     let mut m = glazing("frame.dark", w, h, sashes, (-0.035, 0.025));
     let c = 0.05;
@@ -157,7 +155,7 @@ fn screen(w: f64, h: f64, t: f64, sashes: u32) -> Mesh {
 }
 
 /// A glazed double door, shut.
-fn entrance(w: f64, h: f64) -> Mesh {
+pub(crate) fn entrance(w: f64, h: f64) -> Mesh {
     let mut m = glazing("frame.dark", w, h, 2, (-0.05, 0.01));
     for s in [-1.0, 1.0] {
         let x = 0.07 * s;
@@ -173,7 +171,7 @@ fn entrance(w: f64, h: f64) -> Mesh {
 }
 
 /// The casing (architraves) of a doorway on both faces of its wall.
-fn casing(w: f64, h: f64, t: f64) -> Mesh {
+pub(crate) fn casing(w: f64, h: f64, t: f64) -> Mesh {
     let (c, e) = (0.07, w / 2.0);
     let mut m = Mesh::new();
     for (y0, y1) in [(-t / 2.0 - 0.0155, -t / 2.0 - 0.0005), (t / 2.0 + 0.0005, t / 2.0 + 0.0155)] {
@@ -182,6 +180,26 @@ fn casing(w: f64, h: f64, t: f64) -> Mesh {
         m.add(cuboid("trim.white", v(-e - c, y0, h), v(e + c, y1, h + c)));
     }
     m
+}
+
+/// The leaf of a doorway, if it has one: name of its mesh, pose, mesh.
+pub(crate) fn hung(o: &Opening) -> Option<(String, Placement, Mesh)> {
+    match o.filling {
+        Filling::Doorway(Some(l)) => {
+            let (copy, mesh) = leaf(o, &l);
+            Some((l.paint.replace('.', "-leaf-"), copy, mesh))
+        }
+        Filling::Shut(paint) => {
+            // Nearly as wide as its opening, in the middle of the wall.
+            let width = o.span.1 - o.span.0;
+            let mesh = leaf_mesh(paint).scaled((width - 0.014) / LEAF_WIDTH, 1.0, 1.0);
+            let (low, middle) = (o.span.0 + 0.009, f64::midpoint(o.band.0, o.band.1));
+            let (x, y, turn) = if o.along_x { (low, middle, 0.0) } else { (middle, low, 90.0) };
+            let name = paint.replace('.', "-shut-");
+            Some((name, Placement::new(x, y, o.height.0 + 0.008, turn), mesh))
+        }
+        _ => None,
+    }
 }
 
 /// The leaf of an opening where it stands: pose and mesh (hinge at the origin, leaf along +x).
@@ -304,7 +322,7 @@ fn skirting(plan: &Plan) -> Mesh {
 }
 
 /// A flight of `n` risers towards +y from the origin: `n - 1` treads, `width` across +x.
-fn flight(n: usize, rise: f64, going: f64, width: f64) -> Mesh {
+pub(crate) fn flight(n: usize, rise: f64, going: f64, width: f64) -> Mesh {
     let mut m = Mesh::new();
     let steps = n - 1;
     let soffit = |i: usize| (rise * (i as f64 + 0.1) - 0.16).max(0.0);
@@ -343,7 +361,7 @@ fn flight(n: usize, rise: f64, going: f64, width: f64) -> Mesh {
 }
 
 /// Balusters and handrail from `a` to `b` (feet of the rail).
-fn railing(a: glam::DVec3, b: glam::DVec3, count: usize) -> Mesh {
+pub(crate) fn railing(a: glam::DVec3, b: glam::DVec3, count: usize) -> Mesh {
     let up = v(0.0, 0.0, 0.92);
     let mut m = tube("wood.oak", &[a + up, b + up], 0.024, 6);
     for p in [a, b] {
@@ -431,12 +449,6 @@ fn outside(plan: &Plan) -> Mesh {
             let z = top * (f64::from(k) + 0.5) / f64::from(brackets);
             m.add(cylinder("metal.dark", 0.052, 0.03, 8).at(x, y, z));
         }
-    }
-    // Parapet coping.
-    for r in &plan.footprint {
-        let z = top + 0.4;
-        let t = 0.36;
-        let _ = (r, z, t);
     }
     m.add(block("facade.plinth", 0.4, 0.4, 0.3).at(-1.5, -1.5, lawn + 0.001));
     m.named("outside")

@@ -81,7 +81,7 @@ fn round() -> Mesh {
 }
 
 /// The luminaire, its first panel above the origin, its ceiling at z = 0.
-fn luminaire(lamp: &Lamp) -> Mesh {
+pub(crate) fn luminaire(lamp: &Lamp) -> Mesh {
     let (x0, y0) = lamp.points[0];
     let mut m = Mesh::new();
     for &(x, y) in &lamp.points {

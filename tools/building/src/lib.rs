@@ -15,18 +15,26 @@
 //! | [`furniture`], [`furnish`] | who put the chair there? |
 //! | [`write`] | what is in the files? |
 
+pub mod assemble;
+pub mod carcass;
 pub mod error;
+pub mod fittings;
 pub mod furnish;
 pub mod furniture;
 pub mod joinery;
 pub mod lamps;
 pub mod lshape;
 pub mod mesh;
+pub mod octagon;
+pub mod outline;
 pub mod palette;
 pub mod plan;
 pub mod rng;
 pub mod shell;
+pub mod storey;
+pub mod tower;
 pub mod write;
+pub mod zbuilding;
 
 pub use error::BuildingError;
 
@@ -41,6 +49,12 @@ use std::path::Path;
 pub enum Kind {
     /// Two wings around a corner, corridors on each floor, one stairwell.
     LShape,
+    /// Two bars joined by a spine, one floor.
+    ZBuilding,
+    /// Rings of rooms around a hall, three floors, walls at 45 degrees.
+    Octagon,
+    /// A slab of a hundred floors with 178 rooms each.
+    Tower,
 }
 
 impl Kind {
@@ -48,16 +62,30 @@ impl Kind {
     pub fn name(self) -> &'static str {
         match self {
             Self::LShape => "l-shape",
+            Self::ZBuilding => "z-building",
+            Self::Octagon => "octagon",
+            Self::Tower => "tower",
         }
     }
 
     /// Every kind.
-    pub const ALL: &'static [Self] = &[Self::LShape];
+    pub const ALL: &'static [Self] = &[Self::LShape, Self::ZBuilding, Self::Octagon, Self::Tower];
 
     /// The most floors that it can have.
     pub fn most_floors(self) -> u32 {
         match self {
-            Self::LShape => 100,
+            Self::LShape | Self::Octagon => 100,
+            Self::ZBuilding | Self::Tower => 200,
+        }
+    }
+
+    /// The floors that it has unless the request says otherwise.
+    pub fn floors(self) -> u32 {
+        match self {
+            Self::LShape => 2,
+            Self::ZBuilding => 1,
+            Self::Octagon => 3,
+            Self::Tower => 100,
         }
     }
 }
@@ -79,7 +107,7 @@ impl std::str::FromStr for Kind {
 pub struct Request {
     /// What to build.
     pub kind: Kind,
-    /// Number of floors; the kind's own when absent (two for an L-shape).
+    /// Number of floors; [`Kind::floors`] when absent.
     pub floors: Option<u32>,
     /// Varies how the furniture stands and which books are on the shelves.
     pub seed: u64,
@@ -141,13 +169,46 @@ impl Building {
         }
     }
 
+    /// Triangles by room, in the order of the plan; the last entry is the outside. What stands in a
+    /// room is the room's; walls and windows count where they face.
+    pub fn triangles_by_room(&self) -> Vec<u64> {
+        let rooms = &self.plan.rooms;
+        let mut counts = vec![0u64; rooms.len() + 1];
+        for part in &self.parts {
+            for copy in &part.copies {
+                if let Some(room) = copy.room {
+                    counts[room] += part.mesh.triangles.len() as u64;
+                    continue;
+                }
+                // Only rooms at the part's height come into question.
+                let (low, high) = part.mesh.bounds();
+                let (low, high) = (copy.apply(low).z - 0.1, copy.apply(high).z + 0.1);
+                let near: Vec<usize> = (0..rooms.len())
+                    .filter(|&r| {
+                        let top = rooms[r].shafts.last().map_or(rooms[r].height.1, |s| s.2);
+                        rooms[r].height.0 < high && top > low
+                    })
+                    .collect();
+                let at = |p: glam::DVec3| near.iter().copied().find(|&r| rooms[r].holds(p, 0.0));
+                for t in 0..part.mesh.triangles.len() {
+                    let [a, b, c] = part.mesh.corners(t).map(|q| copy.apply(q));
+                    let middle = (a + b + c) / 3.0;
+                    let n = (b - a).cross(c - a).normalize_or_zero() * 0.01;
+                    let room = at(middle).or_else(|| at(middle + n)).or_else(|| at(middle - n));
+                    counts[room.unwrap_or(rooms.len())] += 1;
+                }
+            }
+        }
+        counts
+    }
+
     /// What [`generate`] reports.
     pub fn summary(&self) -> Summary {
         Summary {
             triangles: self.triangles(),
             rooms: self.plan.rooms.len() as u32,
-            lights: self.plan.rooms.iter().filter(|r| r.lamp.is_some()).count() as u32,
-            files: self.parts.len() as u32 + 2,
+            lights: self.plan.rooms.iter().filter_map(|r| r.lamp.as_ref()).map(|l| l.count).sum(),
+            files: write::files(self),
             views: self.plan.views.iter().map(|v| v.name.clone()).collect(),
         }
     }
@@ -158,13 +219,16 @@ impl Building {
 /// # Errors
 /// [`BuildingError::Floors`] when the kind cannot have so many floors.
 pub fn design(request: &Request) -> Result<Building, BuildingError> {
-    let floors = request.floors.unwrap_or(2);
+    let floors = request.floors.unwrap_or(request.kind.floors());
     let most = request.kind.most_floors();
     if floors == 0 || floors > most {
         return Err(BuildingError::Floors { kind: request.kind.name(), floors, most });
     }
     let plan = match request.kind {
         Kind::LShape => lshape::plan(floors),
+        Kind::ZBuilding => return Ok(assemble::build(request, &zbuilding::drawing(), floors)),
+        Kind::Octagon => return Ok(assemble::build(request, &octagon::drawing(), floors)),
+        Kind::Tower => return Ok(assemble::build(request, &tower::drawing(), floors)),
     };
     let mut parts = vec![Part::fixed("shell", shell::build(&plan))];
     parts.extend(joinery::build(&plan));
@@ -178,6 +242,15 @@ impl Part {
     pub fn fixed(name: &str, mesh: Mesh) -> Self {
         Self { name: name.to_owned(), mesh, door: false, copies: vec![Placement::default()] }
     }
+}
+
+/// What a building is written as.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// A scene file that places meshes.
+    Scene,
+    /// One OBJ with its MTL: everything in world space.
+    Obj,
 }
 
 /// Writes the building of `request` as the scene file `scene_toml`, with its meshes in a folder

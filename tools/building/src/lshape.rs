@@ -71,6 +71,7 @@ impl Draw {
             rects: rects.to_vec(),
             height: (z, z + CLEAR),
             shafts: Vec::new(),
+            pieces: Vec::new(),
             floor,
             walls,
             lamp: None,
@@ -117,7 +118,8 @@ impl Room {
         // A hundred lumens are as exact as a catalogue gets.
         let lumens = (self.area() * LUMENS_PER_AREA / 100.0).round() * 100.0;
         let z = self.height.1;
-        self.lamp = Some(Lamp { panel, points: points.to_vec(), along_y, z, lumens, colour });
+        self.lamp =
+            Some(Lamp { panel, points: points.to_vec(), along_y, z, lumens, count: 1, colour });
     }
 }
 
@@ -421,6 +423,7 @@ fn stairwell(d: &mut Draw, storeys: u32) {
         along_y: false,
         z: top,
         lumens: 4000.0 + 2000.0 * f64::from(storeys - 1),
+        count: 1,
         colour: NEUTRAL,
     });
     // Tall windows at the half landings.

@@ -14,6 +14,8 @@ pub enum Kind {
     Mirror([f64; 3]),
     /// Thin clear pane: transmittance, index of refraction.
     Glass([f64; 3], f64),
+    /// Lambertian reflectance under a highlight.
+    Gloss([f64; 3], [f64; 3]),
 }
 
 /// Every paint and its kind.
@@ -150,6 +152,14 @@ pub const PAINTS: &[(Paint, Kind)] = &[
     ("glass.pane", Kind::Glass([0.90, 0.92, 0.91], 1.5)),
 ];
 
+/// Paints with a highlight, of the buildings that came after the L-shape.
+pub const POLISHED: &[(Paint, Kind)] = &[
+    ("stone.polished", Kind::Gloss([0.46, 0.43, 0.38], [0.12, 0.12, 0.12])),
+    ("floor.parquet", Kind::Gloss([0.44, 0.27, 0.14], [0.08, 0.08, 0.08])),
+    ("lacquer.gloss", Kind::Gloss([0.36, 0.05, 0.08], [0.15, 0.15, 0.15])),
+    ("metal.brushed", Kind::Gloss([0.34, 0.34, 0.35], [0.4, 0.4, 0.41])),
+];
+
 /// The spines of a library.
 pub const BOOKS: &[Paint] = &[
     "book.red",
@@ -172,9 +182,14 @@ pub const BOOKS: &[Paint] = &[
 /// The paint of every luminaire's emitting side; scenes give it one material per lumen value.
 pub const PANEL: Paint = "panel";
 
+/// Every paint of the shop.
+pub fn all() -> impl Iterator<Item = &'static (Paint, Kind)> {
+    PAINTS.iter().chain(POLISHED)
+}
+
 /// The kind of a paint; `None` for a name that is not in the shop.
 pub fn kind(paint: &str) -> Option<Kind> {
-    PAINTS.iter().find(|(name, _)| *name == paint).map(|&(_, kind)| kind)
+    all().find(|(name, _)| *name == paint).map(|&(_, kind)| kind)
 }
 
 #[cfg(test)]
@@ -183,9 +198,12 @@ mod tests {
 
     #[test]
     fn paints_are_unique_and_physical() {
-        for (i, (name, kind)) in PAINTS.iter().enumerate() {
-            assert!(PAINTS[..i].iter().all(|(other, _)| other != name), "{name} twice");
-            let (Kind::Matt(c) | Kind::Mirror(c) | Kind::Glass(c, _)) = kind;
+        for (i, (name, kind)) in all().enumerate() {
+            assert!(all().take(i).all(|(other, _)| other != name), "{name} twice");
+            let (Kind::Matt(c) | Kind::Mirror(c) | Kind::Glass(c, _) | Kind::Gloss(c, _)) = kind;
+            if let Kind::Gloss(c, ks) = kind {
+                assert!((0..3).all(|k| ks[k] > 0.0 && c[k] + ks[k] <= 0.85), "{name}");
+            }
             assert!(c.iter().all(|&c| c > 0.0 && c <= 0.93), "{name}");
             if !matches!(kind, Kind::Glass(..)) {
                 assert!(c.iter().all(|&c| c <= 0.85), "{name} brighter than anything built");

@@ -4,7 +4,8 @@
 //! A room is given by its clear inside; walls are whatever is left of the footprint.
 
 use crate::mesh::Paint;
-use glam::DVec3;
+use crate::outline::Convex;
+use glam::{DVec2, DVec3};
 
 /// Floor to floor, metres.
 pub const STOREY: f64 = 3.1;
@@ -67,8 +68,10 @@ pub struct Lamp {
     pub along_y: bool,
     /// Ceiling height, metres.
     pub z: f64,
-    /// Luminous flux of the whole luminaire, lumens.
+    /// Luminous flux of a whole luminaire, lumens.
     pub lumens: f64,
+    /// How many luminaires there are: one over all points, or one at each.
+    pub count: u32,
     /// Colour of the light, the greatest component 1.
     pub colour: [f64; 3],
 }
@@ -97,6 +100,8 @@ pub struct Room {
     pub height: (f64, f64),
     /// Further clear boxes (plan, low z, high z): the stairwell's storeys and slab openings.
     pub shafts: Vec<(Rect, f64, f64)>,
+    /// Clear plan of a room whose walls may run at any angle, instead of `rects`.
+    pub pieces: Vec<Convex>,
     /// Floor covering.
     pub floor: Paint,
     /// Walls to the west, east, south, north.
@@ -108,14 +113,16 @@ pub struct Room {
 impl Room {
     /// Floor area, square metres.
     pub fn area(&self) -> f64 {
-        self.rects.iter().map(Rect::area).sum()
+        self.rects.iter().map(Rect::area).chain(self.pieces.iter().map(Convex::area)).sum()
     }
 
     /// Whether the point is in the room, at least `margin` metres from what bounds it (from the
     /// outline of each rectangle, for corridors).
     pub fn holds(&self, p: DVec3, margin: f64) -> bool {
         let tall = p.z >= self.height.0 + margin && p.z <= self.height.1 - margin;
+        let plan = DVec2::new(p.x, p.y);
         (tall && self.rects.iter().any(|r| r.holds(p.x, p.y, -margin)))
+            || (tall && self.pieces.iter().any(|c| c.holds(plan, -margin)))
             || self.shafts.iter().any(|(r, low, high)| {
                 p.z >= low + margin && p.z <= high - margin && r.holds(p.x, p.y, -margin)
             })
@@ -139,6 +146,8 @@ pub enum Filling {
     },
     /// A glazed double door to the outside, shut.
     Entrance,
+    /// A doorway whose leaf is shut.
+    Shut(Paint),
 }
 
 /// A door leaf that stands open.
@@ -178,7 +187,7 @@ impl Opening {
 
     /// Whether one walks through it.
     pub fn is_passage(&self) -> bool {
-        matches!(self.filling, Filling::Doorway(_) | Filling::Entrance)
+        matches!(self.filling, Filling::Doorway(_) | Filling::Entrance | Filling::Shut(_))
     }
 }
 

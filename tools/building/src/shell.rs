@@ -142,7 +142,7 @@ fn face_of(plan: &Plan, cell: Cell, axis: usize, sign: isize, z: f64) -> Option<
         }
         Cell::Opening(o) => {
             let paint = match plan.openings[o as usize].filling {
-                Filling::Doorway(_) if axis == 2 && sign == 1 => "trim.oak",
+                Filling::Doorway(_) | Filling::Shut(_) if axis == 2 && sign == 1 => "trim.oak",
                 Filling::Window { .. } if axis == 2 && sign == 1 => "stone.sill",
                 Filling::Entrance if axis == 2 && sign == 1 => "stone.sill",
                 _ => "trim.white",
@@ -277,7 +277,7 @@ fn surface(plan: &Plan, grid: &Grid) -> Mesh {
 
 /// Whether an opening is a window or a screen: it has glass.
 pub fn is_glazed(o: &Opening) -> bool {
-    !matches!(o.filling, Filling::Doorway(_))
+    !matches!(o.filling, Filling::Doorway(_) | Filling::Shut(_))
 }
 
 #[cfg(test)]

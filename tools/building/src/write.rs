@@ -1,14 +1,23 @@
 //! Files: Wavefront OBJ for the meshes, one MTL for other programs, and the scene file.
 //!
-//! Coordinates are written to a hundredth of a millimetre, the same bytes on every machine.
+//! Coordinates are written to a hundredth of a millimetre, the same bytes on every machine. Each
+//! mesh is a file, however often it stands in the building; where it stands many times, the
+//! places are a text file beside it. [`expanded`] writes one OBJ for programs that know no scenes.
 
 use crate::error::BuildingError;
+use crate::furnish::Placement;
 use crate::mesh::Mesh;
 use crate::palette::{self, Kind};
 use crate::{Building, Part};
 use std::fmt::Write as _;
 use std::fs;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
+
+pub mod expanded;
+
+/// More places than these go to a file of their own.
+const INLINE: usize = 24;
 
 /// `value` to five decimals without trailing zeros, never `-0`.
 fn number(value: f64) -> String {
@@ -47,10 +56,11 @@ pub fn obj(name: &str, mesh: &Mesh) -> String {
     out
 }
 
-/// The MTL text of all paints, for programs that do not read the scene file.
-pub fn mtl() -> String {
+/// The MTL text of all paints of a kind of building, for programs that do not read the scene file.
+pub fn mtl(kind: crate::Kind) -> String {
     let mut out = String::from("# linear Rec.709 reflectance\n");
-    for (name, kind) in palette::PAINTS {
+    let polished = if kind == crate::Kind::LShape { &[][..] } else { palette::POLISHED };
+    for (name, kind) in palette::PAINTS.iter().chain(polished) {
         let triple = |c: &[f64; 3]| c.map(number).join(" ");
         let _ = writeln!(out, "newmtl {name}");
         let _ = match kind {
@@ -58,6 +68,9 @@ pub fn mtl() -> String {
             Kind::Mirror(c) => writeln!(out, "Kd 0 0 0\nKs {}\nillum 3", triple(c)),
             Kind::Glass(c, ni) => {
                 writeln!(out, "Kd 0 0 0\nTf {}\nd 0.1\nNi {}\nillum 4", triple(c), number(*ni))
+            }
+            Kind::Gloss(c, ks) => {
+                writeln!(out, "Kd {}\nKs {}\nNs 60\nillum 2", triple(c), triple(ks))
             }
         };
     }
@@ -91,7 +104,7 @@ pub fn scene(building: &Building, folder: &str) -> String {
     }
     let used: std::collections::BTreeSet<_> =
         building.parts.iter().flat_map(|p| p.mesh.triangles.iter().map(|t| t.paint)).collect();
-    for (name, kind) in palette::PAINTS.iter().filter(|(name, _)| used.contains(name)) {
+    for (name, kind) in palette::all().filter(|(name, _)| used.contains(name)) {
         let _ = writeln!(out, "\n[[material]]\nname = \"{name}\"");
         let _ = match kind {
             Kind::Matt(c) => writeln!(out, "kd = {}", list(c)),
@@ -99,13 +112,15 @@ pub fn scene(building: &Building, folder: &str) -> String {
             Kind::Glass(c, ni) => {
                 writeln!(out, "glass = true\ntf = {}\nni = {}", list(c), number(*ni))
             }
+            Kind::Gloss(c, ks) => writeln!(out, "kd = {}\nks = {}", list(c), list(ks)),
         };
     }
     // One emitting material per brightness and colour.
     let mut panels: Vec<(String, f64, [f64; 3])> = Vec::new();
+    let mut known = std::collections::BTreeSet::new();
     for lamp in building.plan.rooms.iter().filter_map(|r| r.lamp.as_ref()) {
         let name = panel_name(lamp.lumens, lamp.colour);
-        if panels.iter().all(|(other, ..)| *other != name) {
+        if known.insert(name.clone()) {
             panels.push((name, lamp.lumens, lamp.colour));
         }
     }
@@ -129,32 +144,85 @@ fn panel_name(lumens: f64, colour: [f64; 3]) -> String {
     format!("panel.{}.{warm}", number(lumens))
 }
 
-/// One `[[mesh]]` table per part, or per brightness of a luminaire.
-fn mesh_tables(building: &Building, part: &Part, folder: &str, out: &mut String) {
-    let mut groups: Vec<(Option<String>, Vec<String>)> = Vec::new();
+/// One `[[mesh]]` table of a part: its name, the material of its panels, and its copies.
+struct Group<'a> {
+    name: String,
+    panel: Option<String>,
+    copies: Vec<&'a Placement>,
+}
+
+impl Group<'_> {
+    /// Whether the copies are listed in a file of their own.
+    fn apart(&self, building: &Building) -> bool {
+        building.request.kind != crate::Kind::LShape && self.copies.len() > INLINE
+    }
+}
+
+/// The copies of a part by the brightness of its luminaires.
+fn groups<'a>(building: &'a Building, part: &'a Part) -> Vec<Group<'a>> {
+    let mut groups: Vec<Group<'a>> = Vec::new();
     for copy in &part.copies {
-        let panel = copy.room.filter(|_| copy.is_lamp).and_then(|room| {
-            building.plan.rooms[room].lamp.as_ref().map(|l| panel_name(l.lumens, l.colour))
-        });
-        let p = copy.position;
-        let row = list(&[p.x, p.y, p.z, copy.turn, copy.scale]);
-        match groups.iter_mut().find(|(key, _)| *key == panel) {
-            Some((_, rows)) => rows.push(row),
-            None => groups.push((panel, vec![row])),
+        let panel = panel_of(building, copy);
+        match groups.iter_mut().find(|g| g.panel == panel) {
+            Some(group) => group.copies.push(copy),
+            None => {
+                let k = groups.len();
+                let name =
+                    if k == 0 { part.name.clone() } else { format!("{}-{}", part.name, k + 1) };
+                groups.push(Group { name, panel, copies: vec![copy] });
+            }
         }
     }
-    for (k, (panel, rows)) in groups.iter().enumerate() {
-        let name = if k == 0 { part.name.clone() } else { format!("{}-{}", part.name, k + 1) };
+    groups
+}
+
+/// The name of the emitting material of a luminaire; `None` for what is none.
+fn panel_of(building: &Building, copy: &Placement) -> Option<String> {
+    let room = copy.room.filter(|_| copy.is_lamp)?;
+    building.plan.rooms[room].lamp.as_ref().map(|l| panel_name(l.lumens, l.colour))
+}
+
+/// The `[[mesh]]` tables of a part.
+fn mesh_tables(building: &Building, part: &Part, folder: &str, out: &mut String) {
+    for group in groups(building, part) {
+        let name = &group.name;
         let _ =
             writeln!(out, "\n[[mesh]]\nname = \"{name}\"\nfile = \"{folder}/{}.obj\"", part.name);
         if part.door {
             out.push_str("door = true\n");
         }
-        if let Some(panel) = panel {
+        if let Some(panel) = &group.panel {
             let _ = writeln!(out, "materials = {{ {} = \"{panel}\" }}", palette::PANEL);
         }
+        if group.apart(building) {
+            let _ = writeln!(out, "instances_file = \"{folder}/{name}.txt\"");
+            continue;
+        }
+        let rows: Vec<String> = group
+            .copies
+            .iter()
+            .map(|c| list(&[c.position.x, c.position.y, c.position.z, c.turn, c.scale]))
+            .collect();
         let _ = writeln!(out, "instances = [\n  {},\n]", rows.join(",\n  "));
     }
+}
+
+/// The text of an instances file: a copy a line.
+fn places(group: &Group<'_>) -> String {
+    let mut out = String::with_capacity(group.copies.len() * 40 + 64);
+    out.push_str("# x y z degrees scale\n");
+    for c in &group.copies {
+        let p = c.position;
+        let row = [p.x, p.y, p.z, c.turn, c.scale].map(number);
+        let _ = writeln!(out, "{}", row.join(" "));
+    }
+    out
+}
+
+/// How many files a building is written to.
+pub fn files(building: &Building) -> u32 {
+    let apart = |p: &Part| groups(building, p).iter().filter(|g| g.apart(building)).count();
+    building.parts.iter().map(|p| 1 + apart(p) as u32).sum::<u32>() + 2
 }
 
 fn failed(path: &Path, doing: &'static str) -> impl FnOnce(std::io::Error) -> BuildingError {
@@ -164,12 +232,21 @@ fn failed(path: &Path, doing: &'static str) -> impl FnOnce(std::io::Error) -> Bu
 
 /// Writes `bytes` aside, syncs and renames.
 fn put(path: &Path, bytes: &[u8]) -> Result<(), BuildingError> {
-    use std::io::Write as _;
+    put_with(path, |file| file.write_all(bytes))
+}
+
+/// Writes a file aside, syncs and renames.
+fn put_with(
+    path: &Path,
+    write: impl FnOnce(&mut std::io::BufWriter<&fs::File>) -> std::io::Result<()>,
+) -> Result<(), BuildingError> {
     let mut aside = path.as_os_str().to_owned();
     aside.push(".part");
     let aside = PathBuf::from(aside);
-    let mut file = fs::File::create(&aside).map_err(failed(&aside, "creating"))?;
-    let done = file.write_all(bytes).and_then(|()| file.sync_all());
+    let file = fs::File::create(&aside).map_err(failed(&aside, "creating"))?;
+    let mut buffer = std::io::BufWriter::with_capacity(1 << 18, &file);
+    let done = write(&mut buffer).and_then(|()| buffer.flush()).and_then(|()| file.sync_all());
+    drop(buffer);
     drop(file);
     if let Err(error) = done {
         let _ = fs::remove_file(&aside);
@@ -178,23 +255,31 @@ fn put(path: &Path, bytes: &[u8]) -> Result<(), BuildingError> {
     fs::rename(&aside, path).map_err(failed(path, "renaming to"))
 }
 
+/// The stem of an output file, if it names one.
+fn stem(path: &Path) -> Result<&str, BuildingError> {
+    let bad = || BuildingError::Path(path.to_owned());
+    let stem = path.file_stem().and_then(|s| s.to_str()).ok_or_else(bad)?;
+    if path.is_dir() || stem.contains(['"', '\\', '\n']) {
+        return Err(bad());
+    }
+    Ok(stem)
+}
+
 /// Writes the scene file and its meshes, the scene file last.
 ///
 /// # Errors
 /// [`BuildingError::Path`] or [`BuildingError::Io`].
 pub fn write(building: &Building, scene_toml: &Path) -> Result<(), BuildingError> {
-    let bad = || BuildingError::Path(scene_toml.to_owned());
-    let stem = scene_toml.file_stem().and_then(|s| s.to_str()).ok_or_else(bad)?;
-    if scene_toml.is_dir() || stem.contains(['"', '\\', '\n']) {
-        return Err(bad());
-    }
-    let folder_name = format!("{stem}.meshes");
+    let folder_name = format!("{}.meshes", stem(scene_toml)?);
     let folder = scene_toml.with_file_name(&folder_name);
     fs::create_dir_all(&folder).map_err(failed(&folder, "creating the folder"))?;
-    put(&folder.join("materials.mtl"), mtl().as_bytes())?;
+    put(&folder.join("materials.mtl"), mtl(building.request.kind).as_bytes())?;
     for part in &building.parts {
         let path = folder.join(format!("{}.obj", part.name));
         put(&path, obj(&part.name, &part.mesh).as_bytes())?;
+        for group in groups(building, part).iter().filter(|g| g.apart(building)) {
+            put(&folder.join(format!("{}.txt", group.name)), places(group).as_bytes())?;
+        }
     }
     put(scene_toml, scene(building, &folder_name).as_bytes())
 }

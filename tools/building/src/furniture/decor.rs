@@ -846,7 +846,11 @@ pub fn coat_stand(mut rng: Rng) -> Mesh {
             let (s, c) = sin_cos(-TAU * u);
             let wide = 0.05 + 0.12 * (t * 4.0).min(1.0);
             let ripple = 1.0 + 0.12 * libm::sin(7.0 * TAU * u + a) * t;
-            v(0.15 + 0.07 * (t * 3.0).min(1.0) * c * ripple, wide * s * ripple, 1.68 - 1.05 * t)
+            v(
+                0.15 + 0.07 * (0.15 + t * 3.0).min(1.0) * c * ripple,
+                wide * s * ripple,
+                1.68 - 1.05 * t,
+            )
         });
         m.add(coat.turned(turn));
     }
