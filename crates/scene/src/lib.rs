@@ -86,8 +86,8 @@ pub struct LoadOptions {
 
 /// A place for meshes that are too large for memory.
 ///
-/// Reading, and every pass over the stream, then needs a few MiB beside the names of objects and
-/// materials, however large the file: vertices and triangles are in temporary files that have no name and
+/// Reading, and every pass over the stream, then needs some 7 MiB beside the names of objects and
+/// materials, however large the file (while it is read, up to `above` more): vertices and triangles are in temporary files that have no name and
 /// vanish with the scene, 24 bytes a vertex and 12 a triangle. Triangles, order, bits and warnings are
 /// those of the mesh in memory.
 #[derive(Clone, Debug, PartialEq, Eq)]

@@ -198,19 +198,24 @@ impl Builder {
                 triangles: Column::create(&spool.folder)?,
                 parts: Column::create(&spool.folder)?,
             });
-            self.flush()?;
-            self.tail = Resident { parts: self.tail.parts.clone(), ..Resident::default() };
+            self.flush(false)?;
+            self.tail.positions.shrink_to(TAIL);
+            self.tail.triangles.shrink_to(TAIL);
+            self.tail.parts.shrink_to(TAIL);
             return Ok(());
         }
-        self.flush()
+        self.flush(false)
     }
 
-    /// Moves the tail into the files, all but the last part, which may still grow.
-    fn flush(&mut self) -> Result<(), SceneError> {
+    /// Moves the tail into the files: all but the last part, which may still grow, and, unless it is the
+    /// `end`, whole pages of vertices only, so that a page in the cache is complete for good.
+    fn flush(&mut self, end: bool) -> Result<(), SceneError> {
         let Some(files) = &mut self.files else { return Ok(()) };
-        files.positions.append(&self.tail.positions, &files.folder)?;
+        let n = self.tail.positions.len();
+        let whole = if end { n } else { n / PAGE * PAGE };
+        files.positions.append(&self.tail.positions[..whole], &files.folder)?;
         files.triangles.append(&self.tail.triangles, &files.folder)?;
-        self.tail.positions.clear();
+        self.tail.positions.drain(..whole);
         self.tail.triangles.clear();
         if let Some(last) = self.tail.parts.pop() {
             files.append_parts(&self.tail.parts)?;
@@ -223,7 +228,7 @@ impl Builder {
     /// The mesh, complete.
     pub(crate) fn finish(mut self) -> Result<Shape, SceneError> {
         self.check()?;
-        self.flush()?;
+        self.flush(true)?;
         Ok(match self.files {
             Some(mut files) => {
                 files.append_parts(&self.tail.parts)?;
@@ -518,18 +523,20 @@ impl<T: Copy> Lookup<T> {
 mod tests {
     use super::*;
 
-    /// A mesh that refers to vertices all over the place, in parts of odd lengths.
+    /// A mesh that refers to vertices all over the place, in parts of odd lengths, five triangles for six
+    /// vertices. Whatever was pushed can be looked up at any time.
     fn build(spool: Option<&Spool>) -> Shape {
         let mut b = Builder::new(spool);
         let n = 700_000u32;
         for i in 0..n {
             b.push_vertex([f64::from(i), 0.5, -f64::from(i)]).unwrap();
-            if i >= 2 && i % 2 == 0 {
+            for _ in 0..if i < 2 { 0 } else { u32::from(i % 2 == 0) + u32::from(i % 3 == 0) } {
                 let far = i.wrapping_mul(2_654_435_761) % i;
                 let part = Part { end: 0, object: i / 7, material: i % 3, door: i % 5 == 0 };
                 b.push_triangle([i, i - 1, far], part).unwrap();
-                let seen = b.position(far).unwrap().unwrap();
-                assert_eq!(seen[0], f64::from(far));
+                for v in [far, i - 1, i.saturating_sub(900), i.saturating_sub(9000)] {
+                    assert_eq!(b.position(v).unwrap().unwrap()[0], f64::from(v));
+                }
             }
         }
         assert_eq!(b.position(n).unwrap(), None);
@@ -549,7 +556,7 @@ mod tests {
         assert_eq!(parts(&a), parts(&b));
         let (mut x, mut y) = (Lookup::<Position>::default(), Lookup::<Position>::default());
         let count = parts(&a).last().unwrap().1.end;
-        assert_eq!(count, 349_999);
+        assert_eq!(count, 349_999 + 233_333);
         for t in (0..count).chain([0, 5, count - 1]) {
             let (p, q) = (x.triangle(&a, t).unwrap(), y.triangle(&b, t).unwrap());
             assert_eq!(p, q);
