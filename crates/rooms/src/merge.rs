@@ -81,12 +81,14 @@ impl Between {
 
     /// Not a door: the walls around the openings are open as well.
     fn gaping(&self) -> bool {
-        self.free > 1e-4 && self.weighted >= WIDE * self.free
+        self.free > 1e-4 && self.weighted >= CORNER * self.free
     }
 
-    /// Gaping, and most of what is in between is open.
+    /// Hardly a wall around the openings, and most of what is in between is open.
     fn wide(&self) -> bool {
-        self.gaping() && self.free >= WIDE * self.shared
+        self.free > 1e-4
+            && self.weighted >= WIDE * self.free
+            && self.free >= WIDE * self.shared
     }
 }
 
