@@ -45,6 +45,9 @@ pub(crate) struct InspectArgs {
     /// List what was emitted, absorbed, escaped and passed on, per room
     #[arg(long)]
     ledger: bool,
+    /// Draw the floor plans, storey by storey, as a picture for a browser or a printer
+    #[arg(long, value_name = "FILE.svg")]
+    plan: Option<PathBuf>,
     /// Print JSON instead of text
     #[arg(long)]
     json: bool,
@@ -78,6 +81,11 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
         return print(&digest).map(drop);
     }
     let tables = Tables::open(&store, &budget)?;
+    if let Some(path) = &args.plan {
+        let svg = crate::plan::draw(&tables)?;
+        return std::fs::write(path, svg)
+            .map_err(|e| Failure::io(format!("{}: {e}", path.display())));
+    }
     let mut answer = serde_json::Map::new();
     if args.rooms {
         answer.insert("rooms".into(), rooms(&tables));

@@ -4,6 +4,7 @@
 mod building;
 mod inspect;
 mod pipeline;
+mod plan;
 mod summary;
 
 use std::process::ExitCode;

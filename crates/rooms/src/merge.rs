@@ -81,12 +81,14 @@ impl Between {
 
     /// Not a door: the walls around the openings are open as well.
     fn gaping(&self) -> bool {
-        self.free > 1e-4 && self.weighted >= WIDE * self.free
+        self.free > 1e-4 && self.weighted >= CORNER * self.free
     }
 
-    /// Gaping, and most of what is in between is open.
+    /// Hardly a wall around the openings, and most of what is in between is open.
     fn wide(&self) -> bool {
-        self.gaping() && self.free >= WIDE * self.shared
+        self.free > 1e-4
+            && self.weighted >= WIDE * self.free
+            && self.free >= WIDE * self.shared
     }
 }
 
@@ -271,9 +273,10 @@ pub(crate) fn merge(
     links: &[Link],
     ahead: &[f64],
     scale: f64,
+    guessed: bool,
     sealed_backs: &dyn Fn(u32) -> f64,
 ) -> Merged {
-    let mut solid = solid_leaves(facts, links);
+    let mut solid = solid_leaves(facts, links, guessed);
     let mut growing = Growing {
         scale,
         parent: (0..facts.len() as u32).collect(),
@@ -465,22 +468,31 @@ fn spread(links: &[Link], region: &mut [u32], solid: &[bool]) {
     }
 }
 
-/// Leaves in walls and slabs: thin, nothing but backs to see, and hardly open to space that is not.
-fn solid_leaves(facts: &[LeafFacts], links: &[Link]) -> Vec<bool> {
+/// Leaves in walls and slabs: thin, nothing but backs to see, and hardly open to space that is not. Where backs are
+/// `guessed`, one that turns out to be open makes its neighbours more open, and so on.
+fn solid_leaves(facts: &[LeafFacts], links: &[Link], guessed: bool) -> Vec<bool> {
     let mut solid: Vec<bool> = facts.iter().map(|f| !f.bound && f.backs >= 0.75).collect();
-    let mut surface = vec![0.0; facts.len()];
-    let mut airy = vec![0.0; facts.len()];
-    for link in links {
-        let [a, b] = link.leaves.map(|l| l as usize);
-        for (me, other) in [(a, b), (b, a)] {
-            surface[me] += link.shared;
-            if !solid[other] {
-                airy[me] += link.free;
+    loop {
+        let mut surface = vec![0.0; facts.len()];
+        let mut airy = vec![0.0; facts.len()];
+        for link in links {
+            let [a, b] = link.leaves.map(|l| l as usize);
+            for (me, other) in [(a, b), (b, a)] {
+                surface[me] += link.shared;
+                if !solid[other] {
+                    airy[me] += link.free;
+                }
             }
         }
+        let mut changed = false;
+        for (i, s) in solid.iter_mut().enumerate() {
+            if *s && airy[i] > 0.25 * surface[i] {
+                *s = false;
+                changed = true;
+            }
+        }
+        if !changed || !guessed {
+            return solid;
+        }
     }
-    for (i, s) in solid.iter_mut().enumerate() {
-        *s &= airy[i] <= 0.25 * surface[i];
-    }
-    solid
 }

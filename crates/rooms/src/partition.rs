@@ -5,7 +5,7 @@ use crate::convex::{Plane, area, area_vector};
 use crate::hints::Footprint;
 use crate::merge::{CORNER, LeafFacts, Merged, WIDE, merge};
 use crate::openings::{Link, links, pieces};
-use crate::probe::Probe;
+use crate::probe::{Facing, Probe};
 use crate::tables::{lists, tables};
 use crate::tree::{LEAF, THIN, Tree, Walls, build};
 use crate::walk::Bsp;
@@ -17,6 +17,8 @@ use std::collections::BTreeMap;
 
 /// Leaves wider than this are not asked whether they are solid, m.
 const SOLID_WIDTH: f64 = 1.2;
+/// Where normals tell nothing, leaves thinner than this may be walls, m.
+const WALL: f64 = 0.45;
 /// Lengths that tell a door from a room shrink with scenes smaller than this, m: a Cornell box of
 /// half a metre has a room as well.
 const FULL_SIZE: f64 = 8.0;
@@ -104,7 +106,7 @@ pub fn partition(
     for leaf in &mut tree.leaves {
         leaf.fragments = Vec::new();
     }
-    Ok(describe(tree, delta, triangles, opaque, &found, divided))
+    Ok(describe(tree, delta, scale, triangles, opaque, &found, divided))
 }
 
 fn check(
@@ -145,6 +147,7 @@ fn with_probe<R>(
     delta: f64,
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
+    scale: f64,
     f: impl FnOnce(&Probe<'_>) -> R,
 ) -> R {
     let same: Vec<u32> = (0..tree.leaves.len() as u32).collect();
@@ -157,7 +160,31 @@ fn with_probe<R>(
         faces: &tables.faces,
         delta,
     };
-    f(&Probe { bsp, lists: &lists, triangles, opaque })
+    let mut probe = Probe { bsp, lists: &lists, triangles, opaque, facing: Facing::Front };
+    probe.facing = facing(tree, &probe, scale);
+    f(&probe)
+}
+
+/// Whether the model shows its fronts, looking around from the largest open cells.
+fn facing(tree: &Tree, probe: &Probe<'_>, scale: f64) -> Facing {
+    let mut open: Vec<(f64, u32)> = tree
+        .leaves
+        .iter()
+        .enumerate()
+        .filter(|(_, l)| !l.cell.faces.iter().any(|f| f.tag >= crate::tree::BOUND))
+        .map(|(i, l)| (l.cell.volume(), i as u32))
+        .filter(|&(v, _)| v > 1.0 * scale * scale * scale)
+        .collect();
+    open.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    let (mut backs, mut hits) = (0.0, 0.0);
+    for &(_, leaf) in
+        open.iter().filter(|o| tree.leaves[o.1 as usize].cell.width() > SOLID_WIDTH * scale).take(200)
+    {
+        let sight = probe.look(tree.leaves[leaf as usize].cell.centre(), 14);
+        backs += sight.backs;
+        hits += sight.hits;
+    }
+    if hits > 0.0 { Facing::from_backs(backs / hits) } else { Facing::Front }
 }
 
 fn divide(
@@ -169,7 +196,7 @@ fn divide(
     found: &[Link],
     hints: &[Footprint],
 ) -> Merged {
-    with_probe(tree, delta, triangles, opaque, |probe| {
+    with_probe(tree, delta, triangles, opaque, scale, |probe| {
         let facts: Vec<LeafFacts> = tree
             .leaves
             .iter()
@@ -187,6 +214,9 @@ fn divide(
                     bound,
                     backs: if bound || width > SOLID_WIDTH * scale {
                         0.0
+                    } else if probe.facing == Facing::Mixed {
+                        // Between two sheets of a wall, unless it turns out to be open.
+                        if width < WALL * scale { 1.0 } else { 0.0 }
                     } else {
                         probe.look(centre, 8).backs
                     },
@@ -196,7 +226,7 @@ fn divide(
             .collect();
         let backs = |leaf: u32| probe.look(tree.leaves[leaf as usize].cell.centre(), 14).backs;
         let ahead: Vec<f64> = found.iter().map(|l| ahead(tree, probe, l, scale)).collect();
-        merge(&facts, found, &ahead, scale, &backs)
+        merge(&facts, found, &ahead, scale, probe.facing == Facing::Mixed, &backs)
     })
 }
 
@@ -416,6 +446,7 @@ struct Draft {
 fn describe(
     tree: Tree,
     delta: f64,
+    scale: f64,
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
     found: &[Link],
@@ -425,7 +456,7 @@ fn describe(
     for (leaf, &region) in divided.region.iter().enumerate() {
         leaves_of[region as usize].push(leaf as u32);
     }
-    let mut drafts: Vec<Draft> = with_probe(&tree, delta, triangles, opaque, |probe| {
+    let mut drafts: Vec<Draft> = with_probe(&tree, delta, triangles, opaque, scale, |probe| {
         leaves_of
             .iter()
             .enumerate()

@@ -32,25 +32,58 @@ pub(crate) struct Probe<'a> {
     pub(crate) lists: &'a Lists,
     pub(crate) triangles: &'a [[[f32; 3]; 3]],
     pub(crate) opaque: &'a (dyn Fn(usize) -> bool + Sync),
+    pub(crate) facing: Facing,
+}
+
+/// Which side of the triangles is the outer one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Facing {
+    /// The front: who stands in a room sees fronts.
+    Front,
+    /// The back: the whole model is inside out.
+    Back,
+    /// Now this, now that: backs tell nothing.
+    Mixed,
+}
+
+impl Facing {
+    /// From the share of backs among what is seen from open space.
+    pub(crate) fn from_backs(share: f64) -> Self {
+        if share <= 0.3 {
+            Self::Front
+        } else if share >= 0.7 {
+            Self::Back
+        } else {
+            Self::Mixed
+        }
+    }
 }
 
 /// What is seen around a point.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sight {
-    /// Share of the directions in which the nearest surface turns its back.
+    /// Share of the directions in which the nearest surface is seen from its inner side.
     pub(crate) backs: f64,
+    /// Share of the directions in which there is a surface at all.
+    pub(crate) hits: f64,
     /// Distance to the nearest surface seen, m; infinite if there is none.
     pub(crate) nearest: f64,
 }
 
 impl Probe<'_> {
     pub(crate) fn look(&self, from: DVec3, rays: usize) -> Sight {
-        let mut sight = Sight { backs: 0.0, nearest: f64::INFINITY };
+        let mut sight = Sight { backs: 0.0, hits: 0.0, nearest: f64::INFINITY };
         let rays = rays.clamp(1, DIRECTIONS.len());
         for d in &DIRECTIONS[..rays] {
             if let Some((t, back)) = self.shoot(from, DVec3::from_array(*d)) {
                 sight.nearest = sight.nearest.min(t);
-                sight.backs += if back { 1.0 / rays as f64 } else { 0.0 };
+                let inner = match self.facing {
+                    Facing::Front => back,
+                    Facing::Back => !back,
+                    Facing::Mixed => false,
+                };
+                sight.backs += if inner { 1.0 / rays as f64 } else { 0.0 };
+                sight.hits += 1.0 / rays as f64;
             }
         }
         sight

@@ -6,6 +6,9 @@ use std::collections::BTreeMap;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+/// Words in the names of spaces that are no rooms.
+const OUTDOORS: [&str; 7] = ["roof", "yard", "dock", "terrace", "balcony", "patio", "site"];
+
 /// Why the truth cannot be read.
 #[derive(Debug, thiserror::Error)]
 pub enum TruthError {
@@ -183,7 +186,9 @@ pub fn parse(bytes: &[u8], solids: &BTreeMap<String, Vec<[DVec3; 3]>>) -> Result
         }
         let outdoors = s["interior_or_exterior"] == "EXTERNAL"
             || name.iter().any(|n| {
-                n.to_ascii_lowercase().split(|c: char| !c.is_alphabetic()).any(|w| w == "roof")
+                n.to_ascii_lowercase()
+                    .split(|c: char| !c.is_alphabetic())
+                    .any(|w| OUTDOORS.contains(&w))
             });
         let shape = solids.get(&text(&s["object"])).map_or(Shape::Box, |t| Shape::Solid(t.clone()));
         by_guid.insert(guid, truth.spaces.len());
