@@ -505,7 +505,7 @@ impl Reader<'_> {
                 }
             };
         let mut seen = vec![false; count];
-        let mut out = Vec::new();
+        let mut out: Vec<Node> = Vec::new();
         let mut stack: Vec<(usize, DMat4, Option<usize>)> =
             roots.into_iter().rev().map(|n| (n, DMat4::IDENTITY, None)).collect();
         while let Some((index, parent, above)) = stack.pop() {
@@ -524,11 +524,11 @@ impl Reader<'_> {
             }
             let mesh_name = said.mesh.and_then(|m| self.root.meshes.get(m)?.name.clone());
             let own = said.name.clone().filter(|n| !n.is_empty());
-            let from_above = || above.map(|a: usize| Node::name(&out[a]));
+            let from_above = above.map(|a| out[a].name.clone());
             let name = own
                 .clone()
                 .or_else(|| mesh_name.filter(|n| !n.is_empty()))
-                .or_else(from_above)
+                .or(from_above)
                 .unwrap_or_else(|| format!("node {index}"));
             let (room, name) = room_name(said, own.as_deref(), name);
             out.push(Node { index, name, world, room });
@@ -761,12 +761,6 @@ struct Node {
     name: String,
     world: DMat4,
     room: bool,
-}
-
-impl Node {
-    fn name(&self) -> String {
-        self.name.clone()
-    }
 }
 
 /// Is it a room? By `extras`, or by its own name; and what it is called.

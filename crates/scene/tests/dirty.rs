@@ -1,7 +1,7 @@
 //! What exporters do to models: duplicated and flat faces, wrong normals, vertices nobody uses, numbers
 //! that are none. And what nobody does: damaged files of every kind.
 
-use enf_scene::{LoadOptions, Scene, load};
+use enf_scene::{LoadOptions, Scene, Spool, load};
 use proptest::prelude::*;
 use std::{f64::consts::PI, fs, path::Path};
 
@@ -97,20 +97,28 @@ fn strict_refuses_what_is_left_out_otherwise() {
     }
 }
 
-/// Loads whatever it is; what comes out must be usable.
+/// Loads whatever it is; what comes out must be usable, and the same from temporary files.
 fn survives(path: &Path) {
     for strict in [false, true] {
-        let Ok(scene) = load(path, &LoadOptions { strict, ..LoadOptions::default() }) else {
-            continue;
+        let spool = Some(Spool { folder: std::env::temp_dir(), above: 0 });
+        let spooled = load(path, &LoadOptions { strict, spool, ..LoadOptions::default() });
+        let scene = match (load(path, &LoadOptions { strict, ..LoadOptions::default() }), &spooled)
+        {
+            (Ok(scene), Ok(spooled)) => {
+                assert_eq!(triangles(&scene), triangles(spooled));
+                assert_eq!(scene.warnings, spooled.warnings);
+                assert_eq!(scene.lights().unwrap(), spooled.lights().unwrap());
+                scene
+            }
+            (Err(a), Err(b)) => {
+                assert_eq!(a.to_string(), b.to_string());
+                continue;
+            }
+            (a, b) => panic!("{a:?}\n{b:?}"),
         };
-        let mut n = 0;
-        scene
-            .for_each_triangle(|t| {
-                assert!(t.corners.as_flattened().iter().all(|v| v.is_finite()));
-                n += 1;
-            })
-            .unwrap();
-        assert_eq!(n, scene.triangle_count());
+        let all = triangles(&scene);
+        assert!(all.as_flattened().as_flattened().iter().all(|v| v.is_finite()));
+        assert_eq!(all.len() as u64, scene.triangle_count());
         let lights = scene.lights().unwrap();
         assert!(lights.records.iter().all(|l| l.flux_w.iter().all(|w| w.is_finite())));
         assert!(scene.delta.is_finite() && scene.delta > 0.0);
@@ -127,7 +135,8 @@ const MTL: &str = "newmtl lamp\nKd 0.5 0.5 0.5\nKe 10 9 8\nillum 2\nd 1\nnewmtl 
 const TOML: &str = "name = \"x\"\nunits = \"cm\"\nup = \"y\"\n[[mesh]]\nfile = \"a.obj\"\n\
     instances = [[0, 0, 0], [1, 2, 3, 45, 2]]\nmaterials = { wall = \"lamp\" }\n[[material]]\n\
     name = \"lamp\"\nlumens = 100\n[[light]]\nkind = \"point\"\nposition = [0, 0, 1]\nwatts = [1, 2, 3]\n\
-    [[room]]\nmin = [0, 0, 0]\nmax = [1, 1, 1]\n[[view]]\neye = [0, 0, 0]\ntarget = [1, 0, 0]\n";
+    [[room]]\nmin = [0, 0, 0]\nmax = [1, 1, 1]\n[[room]]\npolygon = [[0, 0], [2, 0], [0, 2]]\n\
+    z = [0, 2.5]\n[[view]]\neye = [0, 0, 0]\ntarget = [1, 0, 0]\n";
 
 /// One change to a file: what, where (as a share of its length), and with what.
 type Change = (u8, f64, Vec<u8>);

@@ -1,6 +1,6 @@
 //! Our OBJ reader against `tobj`, and against models whose counts are known.
 
-use enf_scene::{LoadOptions, Scene, Spool, load};
+use enf_scene::{Doors, LoadOptions, Scene, Spool, load};
 use proptest::prelude::*;
 use std::{
     collections::BTreeMap,
@@ -148,12 +148,13 @@ fn fixtures_and_real_models_are_the_same_spooled() {
         }
         None => eprintln!("SKIPPED: set ENFILADE_DATA to the folder of test models for those"),
     }
-    for path in all {
-        let plain = load(&path, &LoadOptions::default()).unwrap();
+    let both = [Doors::AsModelled, Doors::Open];
+    for (path, doors) in all.iter().flat_map(|p| both.map(|d| (p, d))) {
+        let plain = load(path, &LoadOptions { doors, ..LoadOptions::default() }).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let spool = Some(Spool { folder: folder.path().into(), above: 0 });
-        let options = LoadOptions { spool, ..LoadOptions::default() };
-        let spooled = load(&path, &options).unwrap();
+        let options = LoadOptions { spool, doors, ..LoadOptions::default() };
+        let spooled = load(path, &options).unwrap();
         assert_eq!(bits(&plain), bits(&spooled), "{}", path.display());
         assert_eq!(plain.lights().unwrap(), spooled.lights().unwrap());
         assert_eq!(plain.warnings, spooled.warnings);
