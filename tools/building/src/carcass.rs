@@ -112,9 +112,9 @@ impl Weld {
 
     /// A polygon: a triangle or quadrilateral as it is, more corners around their middle.
     fn polygon(&mut self, corners: &[u32], paint: Paint) {
-        match corners {
-            &[a, b, c] => self.mesh.triangle(a, b, c, paint),
-            &[a, b, c, d] => self.mesh.quad([a, b, c, d], paint),
+        match *corners {
+            [a, b, c] => self.mesh.triangle(a, b, c, paint),
+            [a, b, c, d] => self.mesh.quad([a, b, c, d], paint),
             _ => {
                 let sum: DVec3 = corners.iter().map(|&i| self.mesh.points[i as usize]).sum();
                 let centre = self.mesh.point(sum / corners.len() as f64);

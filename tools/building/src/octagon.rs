@@ -97,7 +97,7 @@ fn inner(s: &mut Storey, i: usize, level: usize) {
     for (j, (x0, x1)) in [(-long, -WALL / 2.0), (WALL / 2.0, long)].into_iter().enumerate() {
         let middle = f64::midpoint(x0, x1);
         // Four foyers lead into the hall.
-        let foyer = i % 2 == 0 && j == 0;
+        let foyer = i.is_multiple_of(2) && j == 0;
         let dark = i == 3 && j == 1 || i == 7 && j == 1 && level > 0;
         let use_ = match (foyer, dark, (i + j + level) % 3) {
             (true, ..) => Use::Lobby,
@@ -147,7 +147,7 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
         let middle = f64::midpoint(x0, x1);
         let name = format!("outer-{}{}", i + 1, ["a", "b", "c"][j as usize]);
         let all = (x0, a, x1, b);
-        if j == 1 && i % 4 == 0 {
+        if j == 1 && i.is_multiple_of(4) {
             let room = s.stair(&format!("stairwell-{}", i / 4 + 1), &f, (x0, x1), a, b - a);
             let strip = (x0 + 1.3, a, x1, b);
             light(s, room, grid(&f, strip, (1, 2), Panel::Square, false, NEUTRAL));
@@ -198,7 +198,13 @@ fn outer(s: &mut Storey, i: usize, level: usize) {
         s.space(format!("corner-{}", i + 1), use_, pieces, f.turn - 22.5, Weight::Share(30.0));
     let points = vec![f.point(x + 1.5, 19.2), f.point(x + 2.0, 21.4), right.point(-x - 2.0, 21.4)];
     light(s, room, Light { panel: Panel::Round, points, each: false, turn: f.turn, colour: WARM });
-    s.door(&f, (x + 0.7, wall), true, WALL, if i % 3 == 0 { Door::Open(true) } else { Door::None });
+    s.door(
+        &f,
+        (x + 0.7, wall),
+        true,
+        WALL,
+        if i.is_multiple_of(3) { Door::Open(true) } else { Door::None },
+    );
     let pane_x = f64::midpoint(x, b * K);
     s.window(&f, (pane_x, pane), true, 1.4);
     s.window(&right, (-pane_x, pane), true, 1.4);

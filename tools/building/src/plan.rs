@@ -121,8 +121,11 @@ impl Room {
     pub fn holds(&self, p: DVec3, margin: f64) -> bool {
         let tall = p.z >= self.height.0 + margin && p.z <= self.height.1 - margin;
         let plan = DVec2::new(p.x, p.y);
-        (tall && self.rects.iter().any(|r| r.holds(p.x, p.y, -margin)))
-            || (tall && self.pieces.iter().any(|c| c.holds(plan, -margin)))
+        let inside = || {
+            self.rects.iter().any(|r| r.holds(p.x, p.y, -margin))
+                || self.pieces.iter().any(|c| c.holds(plan, -margin))
+        };
+        (tall && inside())
             || self.shafts.iter().any(|(r, low, high)| {
                 p.z >= low + margin && p.z <= high - margin && r.holds(p.x, p.y, -margin)
             })

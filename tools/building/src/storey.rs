@@ -227,7 +227,7 @@ impl Storey {
             Door::Shut => Filling::Shut(paint),
             Door::Open(up) => Filling::Doorway(Some(Leaf {
                 into: if up { Side::North } else { Side::South },
-                hinge_low: n % 2 == 0,
+                hinge_low: n.is_multiple_of(2),
                 angle: 82.0 + (n * 7 % 15) as f64,
                 paint,
             })),

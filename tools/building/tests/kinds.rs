@@ -13,9 +13,21 @@ use enf_building::{Building, Kind, Request, design, octagon, tower, write, zbuil
 use glam::{DVec2, DVec3};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::OnceLock;
 
 fn building(kind: Kind, floors: Option<u32>, seed: u64) -> Building {
     design(&Request { kind, floors, seed }).unwrap()
+}
+
+/// The paper's building with seed 1 (of the tower one floor), made once for all tests.
+fn usual(kind: Kind) -> &'static Building {
+    static MADE: [OnceLock<Building>; 3] = [const { OnceLock::new() }; 3];
+    let (k, floors) = match kind {
+        Kind::ZBuilding => (0, 1),
+        Kind::Octagon => (1, 3),
+        _ => (2, 1),
+    };
+    MADE[k].get_or_init(|| building(kind, Some(floors), 1))
 }
 
 fn drawings() -> [(Kind, Drawing); 3] {
@@ -41,11 +53,12 @@ fn per_room(b: &Building) -> (f64, f64) {
 
 #[test]
 fn the_z_building_is_the_papers() {
-    let b = building(Kind::ZBuilding, None, 1);
+    let b = usual(Kind::ZBuilding);
+    assert_eq!(Kind::ZBuilding.floors(), 1);
     let s = b.summary();
     assert_eq!((s.rooms, s.lights, b.plan.storeys, s.views.len()), (22, 15, 1, 3));
     within("triangles", s.triangles as f64, 1_074_000.0, 0.05);
-    let (mean, max) = per_room(&b);
+    let (mean, max) = per_room(b);
     within("mean", mean, 48_816.0, 0.05);
     within("max", max, 217_429.0, 0.05);
     // Other seeds, and the variants of Table 3: copies of the floor.
@@ -60,11 +73,12 @@ fn the_z_building_is_the_papers() {
 
 #[test]
 fn the_octagon_is_the_papers() {
-    let b = building(Kind::Octagon, None, 1);
+    let b = usual(Kind::Octagon);
+    assert_eq!(Kind::Octagon.floors(), 3);
     let s = b.summary();
     assert_eq!((s.rooms, s.lights, b.plan.storeys, s.views.len()), (232, 155, 3, 3));
     within("triangles", s.triangles as f64, 5_250_000.0, 0.05);
-    let (mean, max) = per_room(&b);
+    let (mean, max) = per_room(b);
     within("mean", mean, 22_621.0, 0.05);
     within("max", max, 451_606.0, 0.05);
     within("seed 7", building(Kind::Octagon, None, 7).triangles() as f64, 5_250_000.0, 0.05);
@@ -83,8 +97,7 @@ fn the_tower_is_the_papers() {
     let bytes: usize =
         b.parts.iter().map(|p| 12 * (p.mesh.points.len() + p.mesh.triangles.len())).sum();
     assert!(bytes < 60_000_000 && s.files < 400, "{bytes} bytes in {} files", s.files);
-    let one = building(Kind::Tower, Some(1), 1);
-    let (mean, max) = per_room(&one);
+    let (mean, max) = per_room(usual(Kind::Tower));
     within("mean", mean, 60_134.0, 0.05);
     within("max", max, 172_772.0, 0.05);
     if floors == 100 {
@@ -234,7 +247,8 @@ fn furniture_keeps_to_its_room_and_out_of_the_way() {
 #[test]
 fn luminaires_hang_in_their_rooms() {
     for (kind, d) in drawings() {
-        let b = building(kind, Some(d.storeys.len() as u32), 1);
+        let b = usual(kind);
+        assert_eq!(b.plan.storeys as usize, d.storeys.len());
         let mut found = vec![0; b.plan.rooms.len()];
         for part in &b.parts {
             for copy in part.copies.iter().filter(|c| c.is_lamp) {
@@ -264,8 +278,8 @@ fn luminaires_hang_in_their_rooms() {
 
 #[test]
 fn meshes_have_area_paint_and_finite_corners() {
-    for (kind, _) in drawings() {
-        for part in &building(kind, Some(1), 1).parts {
+    for kind in [Kind::ZBuilding, Kind::Octagon, Kind::Tower] {
+        for part in &usual(kind).parts {
             for (i, t) in part.mesh.triangles.iter().enumerate() {
                 let known = t.paint == PANEL || palette::kind(t.paint).is_some();
                 assert!(known, "{}: {}", part.name, t.paint);

@@ -70,11 +70,11 @@ pub(crate) fn find(name: &str) -> Option<&'static Piece> {
 
 const CATALOGUE: &[Piece] = &[
     // Offices and meetings.
-    piece("workplace", 4, Free, |k, r| sets::desk(k, r)),
-    piece("island", 4, Free, |k, r| sets::island(k, r)),
+    piece("workplace", 4, Free, sets::desk),
+    piece("island", 4, Free, sets::island),
     piece("conference-8", 2, Free, |k, r| sets::conference(k, 8, r)),
     piece("conference-14", 2, Free, |k, r| sets::conference(k, 14, r)),
-    piece("meeting-round", 3, Free, |k, r| sets::round_meeting(k, r)),
+    piece("meeting-round", 3, Free, sets::round_meeting),
     rare(1, "whiteboard", 1, Wall(1.5), |_, _| decor::whiteboard(2.0, 1.2)),
     piece("bookcase", 5, Wall(0.0), |k, r| {
         let wood = ["wood.oak", "wood.walnut", "wood.birch"][k % 3];
@@ -85,7 +85,7 @@ const CATALOGUE: &[Piece] = &[
     }),
     piece("sideboard", 4, Wall(0.0), sets::sideboard),
     // Living.
-    piece("lounge", 4, Free, |k, r| sets::lounge(k, r)),
+    piece("lounge", 4, Free, sets::lounge),
     piece("sofa", 3, Wall(0.0), |k, _| {
         let cloth = ["fabric.blue", "leather.brown", "fabric.green"][k % 3];
         seating::sofa(cloth, ["fabric.mustard", "fabric.cream"], 2 + k % 2)
@@ -95,7 +95,7 @@ const CATALOGUE: &[Piece] = &[
     }),
     rare(2, "lounge-chair", 1, Edge, |_, _| seating::lounge_chair("leather.tan", "wood.walnut")),
     rare(1, "piano", 1, Wall(0.0), |_, _| tables::piano("wood.black")),
-    piece("bed", 4, Wall(0.0), |k, r| sets::bed(k, r)),
+    piece("bed", 4, Wall(0.0), sets::bed),
     rare(2, "wardrobe", 2, Wall(0.0), |k, _| {
         storage::wardrobe(["lacquer.white", "lacquer.blue"][k % 2], [1.6, 1.0][k % 2], 2.2)
     }),
@@ -116,17 +116,17 @@ const CATALOGUE: &[Piece] = &[
     rare(1, "chandelier", 1, Ceiling, |_, _| fine::chandelier("metal.brass")),
     rare(1, "floor-lamp", 1, Edge, |_, _| decor::floor_lamp("metal.brass", "shade")),
     // Eating.
-    piece("cafe", 4, Free, |k, r| sets::cafe(k, r)),
-    piece("dining", 3, Free, |k, r| sets::dining(k, r)),
+    piece("cafe", 4, Free, sets::cafe),
+    piece("dining", 3, Free, sets::dining),
     rare(2, "kitchen", 2, Wall(0.0), |k, mut r| sets::kitchen(k, &mut r)),
-    rare(1, "buffet", 2, Free, |k, r| sets::buffet(k, r)),
+    rare(1, "buffet", 2, Free, sets::buffet),
     rare(1, "fridge", 1, Wall(0.0), |_, _| wet::fridge("metal.steel")),
     // Reading, looking, making.
-    piece("stack", 4, Free, |k, r| sets::stack(k, r)),
-    piece("reading", 3, Free, |k, r| sets::reading(k, r)),
+    piece("stack", 4, Free, sets::stack),
+    piece("reading", 3, Free, sets::reading),
     piece("seats-4", 4, Free, |k, r| sets::seats(k, 4, r)),
     piece("seats-6", 4, Free, |k, r| sets::seats(k, 6, r)),
-    piece("workbench", 3, Free, |k, r| sets::bench_place(k, r)),
+    piece("workbench", 3, Free, sets::bench_place),
     rare(3, "easel", 2, Edge, |k, _| {
         let strokes = [
             ["lacquer.blue", "fabric.teal", "fabric.mustard", "fabric.red"],

@@ -55,7 +55,7 @@ fn desktop(m: &mut Mesh, k: usize, (x, y): (f64, f64), turn: f64, rng: &mut Rng)
     }
     rest(decor::mug(CUPS[k % 5]), 0.36, -0.12 + rng.around(0.06), rng.range(0.0, 360.0));
     rest(decor::papers(rng.clone()), 0.48, -0.1 + rng.around(0.05), rng.around(20.0));
-    if k % 2 == 0 {
+    if k.is_multiple_of(2) {
         rest(decor::desk_lamp("lacquer.red"), -0.62, 0.16, -20.0);
     } else {
         rest(decor::pot_plant("pot.clay", rng.clone()), -0.64, 0.16, rng.range(0.0, 360.0));
@@ -136,7 +136,7 @@ pub fn cafe(k: usize, mut rng: Rng) -> Mesh {
         let angle = 360.0 * i as f64 / seats as f64 + rng.around(10.0);
         let (s, c) = sin_cos(radians(angle));
         let out = 0.72 + rng.around(0.05);
-        let chair = if k % 3 == 0 {
+        let chair = if k.is_multiple_of(3) {
             seating::shell_chair(SHELLS[(k + i) % 4], "wood.oak")
         } else {
             seating::slat_chair("wood.walnut", "fabric.cream")
