@@ -187,7 +187,7 @@ proptest! {
         if let Some((a, b)) = hint {
             let min = [0, 1, 2].map(|k| a[k].min(b[k]));
             let max = [0, 1, 2].map(|k| a[k].max(b[k]) + 0.5);
-            options.hints.push(Hint { min, max });
+            options.hints.push(Hint { min, max, polygon: vec![] });
         }
         let rays = rays(&triangles, &seeds);
         let whole = partition(&triangles, &|_| opaque, &options).unwrap();
