@@ -10,7 +10,7 @@ use enf_rooms::{Bsp, Hint, Tables};
 use enf_scene::{RoomHint, Scene, SceneError, Up};
 use enf_stage::session::Session;
 use enf_stage::tables::Names;
-use enf_stage::{Failure, Result, interrupt, say, warn};
+use enf_stage::{ExitStatus, Failure, Result, interrupt, say, warn};
 use enf_store::{MemoryBudget, StageWriter, StoreDir};
 use glam::{DVec3, Vec3};
 use xxhash_rust::xxh3::xxh3_64;
@@ -216,9 +216,9 @@ pub(crate) fn build(
     Ok(())
 }
 
-/// The input could be read once, and no longer.
+/// What is wrong with a scene, or with the place where its large meshes are kept meanwhile.
 pub(crate) fn lost(error: SceneError) -> Failure {
-    Failure::input(error.to_string())
+    Failure::new(ExitStatus::from_code(error.exit_code()), error.to_string())
 }
 
 fn hint(hint: &RoomHint) -> Hint {

@@ -67,7 +67,7 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
     let scene = {
         let _dense = interrupt::nothing_to_lose()?;
         let _span = lane.span("read scene", 0u32);
-        enf_scene::load(&cli.scene, &options).map_err(|e| Failure::input(e.to_string()))?
+        enf_scene::load(&cli.scene, &options).map_err(build::lost)?
     };
     let identity = identity(&scene, args);
     let store = create(&cli.output)?;

@@ -40,6 +40,7 @@ pub(crate) fn cluster(
     }
     drop(promising);
     order.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    drop_doubles(triangles, &mut order);
 
     let mut normals: Vec<DVec3> = Vec::new();
     let mut normal_keys: HashMap<[i32; 3], (u32, bool)> = HashMap::new();
@@ -123,6 +124,38 @@ pub(crate) fn cluster(
         }
     }
     (kept, of)
+}
+
+/// Leaves out triangles that lie exactly on an earlier one, whatever their winding: walls that are there twice
+/// are no better walls. Equal triangles have equal areas, up to rounding, and are not far from each other.
+fn drop_doubles(triangles: &[[[f32; 3]; 3]], order: &mut Vec<(f32, u32)>) {
+    let key = |i: u32| {
+        let mut corners = triangles[i as usize].map(|p| p.map(|x| (x + 0.0).to_bits()));
+        corners.sort_unstable();
+        corners
+    };
+    let mut keys: Vec<(u64, u32)> = order
+        .iter()
+        .map(|&(_, i)| {
+            let words = key(i).into_iter().flatten();
+            // Fowler, Noll and Vo's hash: it only brings candidates together.
+            let hash = words.fold(0xcbf2_9ce4_8422_2325_u64, |h, w| {
+                (h ^ u64::from(w)).wrapping_mul(0x0000_0100_0000_01b3)
+            });
+            (hash, i)
+        })
+        .collect();
+    keys.sort_unstable();
+    let mut doubles: Vec<u32> = Vec::new();
+    for run in keys.chunk_by(|a, b| a.0 == b.0).filter(|r| r.len() > 1) {
+        for (k, &(_, i)) in run.iter().enumerate() {
+            if run[..k].iter().any(|&(_, j)| key(i) == key(j)) {
+                doubles.push(i);
+            }
+        }
+    }
+    doubles.sort_unstable();
+    order.retain(|o| doubles.binary_search(&o.1).is_err());
 }
 
 /// A plane whose triangles fall into several coarse cells (at most 2 x 2 x 2 x 2) still has a cell with this share.

@@ -86,9 +86,7 @@ impl Between {
 
     /// Hardly a wall around the openings, and most of what is in between is open.
     fn wide(&self) -> bool {
-        self.free > 1e-4
-            && self.weighted >= WIDE * self.free
-            && self.free >= WIDE * self.shared
+        self.free > 1e-4 && self.weighted >= WIDE * self.free && self.free >= WIDE * self.shared
     }
 }
 

@@ -177,8 +177,10 @@ fn facing(tree: &Tree, probe: &Probe<'_>, scale: f64) -> Facing {
         .collect();
     open.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let (mut backs, mut hits) = (0.0, 0.0);
-    for &(_, leaf) in
-        open.iter().filter(|o| tree.leaves[o.1 as usize].cell.width() > SOLID_WIDTH * scale).take(200)
+    for &(_, leaf) in open
+        .iter()
+        .filter(|o| tree.leaves[o.1 as usize].cell.width() > SOLID_WIDTH * scale)
+        .take(200)
     {
         let sight = probe.look(tree.leaves[leaf as usize].cell.centre(), 14);
         backs += sight.backs;

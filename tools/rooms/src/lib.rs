@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 pub mod found;
+pub mod hints;
 pub mod score;
 pub mod table;
 pub mod truth;

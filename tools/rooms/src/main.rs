@@ -7,7 +7,9 @@ use std::process::ExitCode;
 use clap::Parser;
 use enf_rooms::{Bsp, Options, RoomCount};
 use enf_rooms_truth::found::{Found, Partitioned};
-use enf_rooms_truth::{score::score, table, truth};
+use enf_rooms_truth::score::score;
+use enf_rooms_truth::truth::{self, Truth};
+use enf_rooms_truth::{hints::hints, table};
 use enf_stage::tables::Tables;
 use enf_stage::{Failure, Result};
 use enf_store::{MemoryBudget, StoreDir};
@@ -28,6 +30,9 @@ struct Cli {
     /// Turn a model about the z axis before it is partitioned; for a store: how far its model was turned
     #[arg(long, value_name = "DEGREES", default_value_t = 0.0, allow_negative_numbers = true)]
     turn: f64,
+    /// Give the architect's spaces to the partitioner as hints (models only)
+    #[arg(long)]
+    hints: bool,
     /// List the doors that were found as well
     #[arg(long)]
     doors: bool,
@@ -39,14 +44,12 @@ struct Cli {
 /// What reading a store may hold in memory.
 const BUDGET: u64 = 1 << 30;
 
-fn compare(cli: &Cli, found: &dyn Found) -> Result<()> {
-    let truth = truth::load(&cli.truth, cli.spaces.as_deref())
-        .map_err(|e| Failure::input(e.to_string()))?;
-    let score = score(&truth, found);
+fn compare(cli: &Cli, truth: &Truth, found: &dyn Found) -> Result<()> {
+    let score = score(truth, found);
     let text = if cli.json {
-        serde_json::to_string_pretty(&table::json(&truth, &score)).map_err(Failure::internal)?
+        serde_json::to_string_pretty(&table::json(truth, &score)).map_err(Failure::internal)?
     } else {
-        table::text(&truth, &score, cli.doors)
+        table::text(truth, &score, cli.doors)
     };
     match std::io::Write::write_all(
         &mut std::io::stdout(),
@@ -59,12 +62,18 @@ fn compare(cli: &Cli, found: &dyn Found) -> Result<()> {
     }
 }
 
-fn from_store(cli: &Cli) -> Result<()> {
+fn from_store(cli: &Cli, truth: &Truth) -> Result<()> {
+    if cli.hints {
+        return Err(Failure::usage(
+            "--hints is for models: the rooms of a store are there already",
+        ));
+    }
     let store = StoreDir::open(&cli.building)?;
     let tables = Tables::open(&store, &MemoryBudget::new(BUDGET))?;
     let outside = tables.scene.outside;
     compare(
         cli,
+        truth,
         &Partitioned {
             bsp: tables.bsp()?,
             portals: tables.portals(),
@@ -75,7 +84,7 @@ fn from_store(cli: &Cli) -> Result<()> {
     )
 }
 
-fn from_model(cli: &Cli) -> Result<()> {
+fn from_model(cli: &Cli, truth: &Truth) -> Result<()> {
     let scene = enf_scene::load(&cli.building, &enf_scene::LoadOptions::default())
         .map_err(|e| Failure::input(e.to_string()))?;
     if scene.origin != [0.0; 3] && cli.turn != 0.0 {
@@ -114,7 +123,11 @@ fn from_model(cli: &Cli) -> Result<()> {
         bounds_min: min,
         bounds_max: max,
         rooms: RoomCount::Auto,
-        hints: Vec::new(),
+        hints: if cli.hints {
+            hints(truth, scene.origin, cli.turn.to_radians())
+        } else {
+            Vec::new()
+        },
     };
     let tables = enf_rooms::partition(&triangles, &opaque, &options)
         .map_err(|e| Failure::input(format!("{}: {e}", cli.building.display())))?
@@ -124,6 +137,7 @@ fn from_model(cli: &Cli) -> Result<()> {
             .map_err(Failure::internal)?;
     compare(
         cli,
+        truth,
         &Partitioned {
             bsp,
             portals: &tables.portals,
@@ -137,6 +151,8 @@ fn from_model(cli: &Cli) -> Result<()> {
 fn main() -> ExitCode {
     enf_stage::run_main("enf-rooms-truth", || {
         let cli = Cli::try_parse()?;
-        if cli.building.is_dir() { from_store(&cli) } else { from_model(&cli) }
+        let truth = truth::load(&cli.truth, cli.spaces.as_deref())
+            .map_err(|e| Failure::input(e.to_string()))?;
+        if cli.building.is_dir() { from_store(&cli, &truth) } else { from_model(&cli, &truth) }
     })
 }

@@ -89,6 +89,48 @@ impl Space {
     }
 }
 
+impl Space {
+    /// Its footprint: the longest ring of its outline, m. Empty if there is none.
+    pub fn footprint(&self) -> Vec<DVec2> {
+        let mut left = self.outline(self.level());
+        let mut longest: (f64, Vec<DVec2>) = (0.0, Vec::new());
+        while let Some([first, mut end]) = left.pop() {
+            let mut ring = vec![first, end];
+            let mut length = (end - first).length();
+            // Sections of two triangles meet on their common edge, up to rounding.
+            while let Some((k, far)) = next(&left, end) {
+                left.swap_remove(k);
+                length += (far - end).length();
+                end = far;
+                ring.push(far);
+            }
+            if (end - first).length() < MEET {
+                ring.pop();
+            }
+            if length > longest.0 && ring.len() > 2 {
+                longest = (length, ring);
+            }
+        }
+        longest.1
+    }
+}
+
+/// Segments of an outline this close to each other meet, m.
+const MEET: f64 = 1e-4;
+
+/// The segment that goes on from a point: its index and its far end.
+fn next(left: &[[DVec2; 2]], from: DVec2) -> Option<(usize, DVec2)> {
+    left.iter().enumerate().find_map(|(k, &[a, b])| {
+        if (a - from).length() < MEET {
+            Some((k, b))
+        } else if (b - from).length() < MEET {
+            Some((k, a))
+        } else {
+            None
+        }
+    })
+}
+
 /// A door, a window or another opening that the architect drew.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Door {
@@ -324,6 +366,7 @@ mod tests {
         assert!((space.level() - 1.0).abs() < 1e-12);
         let outline = space.outline(1.0);
         assert_eq!(outline.len(), 3);
+        assert_eq!(space.footprint().len(), 3);
         // Half way up the section is half as long.
         let around: f64 = outline.iter().map(|s| (s[1] - s[0]).length()).sum();
         assert!((around - 0.5 * (2.0 + 3.0 + 13.0_f64.sqrt())).abs() < 1e-12);
