@@ -187,14 +187,10 @@ proptest! {
         if let Some((a, b)) = hint {
             let min = [0, 1, 2].map(|k| a[k].min(b[k]));
             let max = [0, 1, 2].map(|k| a[k].max(b[k]) + 0.5);
-<<<<<<< HEAD
             // The box, or half of it.
             let corners = [[min[0], min[1]], [max[0], min[1]], [min[0], max[1]]];
             let polygon = if seed % 2 == 0 { Vec::new() } else { corners.to_vec() };
             options.hints.push(Hint { min, max, polygon });
-=======
-            options.hints.push(Hint { min, max, polygon: vec![] });
->>>>>>> rooms
         }
         let rays = rays(&triangles, &seeds);
         let whole = partition(&triangles, &|_| opaque, &options).unwrap();
