@@ -21,7 +21,7 @@ fn compare(model: &str, degrees: f64, hinted: bool) -> Option<(truth::Truth, Sco
     let (sin, cos) = (libm::sin(turn), libm::cos(turn));
     let (mut triangles, mut clear) = (Vec::new(), Vec::new());
     let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-    scene.for_each_triangle(|t| {
+    let streamed = scene.for_each_triangle(|t| {
         let corners = t.corners.map(|p| {
             let (x, y) = (f64::from(p[0]), f64::from(p[1]));
             [(x * cos - y * sin) as f32, (x * sin + y * cos) as f32, p[2]]
@@ -34,6 +34,7 @@ fn compare(model: &str, degrees: f64, hinted: bool) -> Option<(truth::Truth, Sco
         triangles.push(corners);
         clear.push(scene.materials[t.material as usize].record.flags & MATERIAL_SEE_THROUGH != 0);
     });
+    streamed.unwrap();
     let options = Options {
         delta: scene.delta,
         bounds_min: min,
