@@ -135,6 +135,15 @@ impl Polytope {
         Self { faces }
     }
 
+    /// The same in as little memory as possible, for keeping.
+    pub(crate) fn shrunk(mut self) -> Self {
+        for face in &mut self.faces {
+            face.corners.shrink_to_fit();
+        }
+        self.faces.shrink_to_fit();
+        self
+    }
+
     pub(crate) fn corners(&self) -> impl Iterator<Item = DVec3> + '_ {
         self.faces.iter().flat_map(|f| f.corners.iter().copied())
     }

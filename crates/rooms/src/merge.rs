@@ -5,6 +5,7 @@
 //! cupboards.
 
 use crate::openings::Link;
+use crate::probe::Facing;
 use crate::tree::THIN;
 use std::collections::{BTreeMap, BinaryHeap};
 
@@ -55,6 +56,8 @@ pub(crate) struct Merged {
     /// The region that is outside.
     pub(crate) outside: Option<u32>,
     pub(crate) regions: u32,
+    /// Which side of the model's triangles is the outer one.
+    pub(crate) facing: Facing,
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -271,10 +274,10 @@ pub(crate) fn merge(
     links: &[Link],
     ahead: &[f64],
     scale: f64,
-    guessed: bool,
+    facing: Facing,
     sealed_backs: &dyn Fn(u32) -> f64,
 ) -> Merged {
-    let mut solid = solid_leaves(facts, links, guessed);
+    let mut solid = solid_leaves(facts, links, facing == Facing::Mixed);
     let mut growing = Growing {
         scale,
         parent: (0..facts.len() as u32).collect(),
@@ -401,7 +404,7 @@ pub(crate) fn merge(
             solid[leaf] = true;
         }
     }
-    number(facts, links, roots, solid, &growing)
+    number(facts, links, roots, solid, &growing, facing)
 }
 
 /// Numbers the regions by their first leaf and hands solid leaves to their neighbours.
@@ -411,6 +414,7 @@ fn number(
     roots: Vec<u32>,
     solid: Vec<bool>,
     growing: &Growing,
+    facing: Facing,
 ) -> Merged {
     let mut region = vec![u32::MAX; facts.len()];
     let mut numbers: BTreeMap<u32, u32> = BTreeMap::new();
@@ -433,7 +437,7 @@ fn number(
             *r = outside.unwrap_or(0);
         }
     }
-    Merged { region, solid, outside, regions: regions.max(1) }
+    Merged { region, solid, outside, regions: regions.max(1), facing }
 }
 
 /// Solid leaves take the region of the neighbour they share most surface with, ring by ring.

@@ -117,11 +117,12 @@ fn flats(tree: &Tree, frame: &Frame, list: &[(u32, usize)]) -> Vec<Flat> {
     flats
 }
 
-fn blockers(frame: &Frame, sheets: &[Sheet]) -> (Vec<Flat>, f64) {
+fn blockers(frame: &Frame, sheets: &[Sheet], triangles: &[[[f32; 3]; 3]]) -> (Vec<Flat>, f64) {
     let mut blockers: Vec<Flat> = sheets
         .iter()
-        .filter(|s| crate::tree::has_area(&s.corners))
-        .map(|s| Flat::new(u32::from(s.opaque), frame.flatten(&s.corners)))
+        .map(|s| (s.opaque, s.corners(triangles)))
+        .filter(|s| crate::tree::has_area(&s.1))
+        .map(|s| Flat::new(u32::from(s.0), frame.flatten(&s.1)))
         .filter(|f| flat::area(&f.poly) > 1e-9)
         .collect();
     blockers.sort_by(by_left);
@@ -160,7 +161,7 @@ pub(crate) fn links(tree: &Tree, building: &Walls<'_>) -> Vec<Link> {
         let frame = Frame::new(&tree.nodes[node].plane, tree.north);
         let front = flats(tree, &frame, &sides[0]);
         let back = flats(tree, &frame, &sides[1]);
-        let (sheets, widest_sheet) = blockers(&frame, &tree.nodes[node].sheets);
+        let (sheets, widest_sheet) = blockers(&frame, &tree.nodes[node].sheets, building.triangles);
         let widest = back.iter().map(|b| b.bounds.1.x - b.bounds.0.x).fold(0.0, f64::max);
         for f in &front {
             for b in overlapping(&back, widest, &f.bounds) {
@@ -433,14 +434,19 @@ fn openness(
 
 /// The open pieces of the links that are asked for (indices into the list of [`links`], which is
 /// sorted by node), counter-clockwise around the node's normal: they face the leaf in front.
-pub(crate) fn pieces(tree: &Tree, links: &[Link], wanted: &[usize]) -> Vec<(usize, Vec<DVec3>)> {
+pub(crate) fn pieces(
+    tree: &Tree,
+    triangles: &[[[f32; 3]; 3]],
+    links: &[Link],
+    wanted: &[usize],
+) -> Vec<(usize, Vec<DVec3>)> {
     let mut out = Vec::new();
     let faces = faces(tree);
     let mut at = 0;
     while at < wanted.len() {
         let node = links[wanted[at]].node as usize;
         let frame = Frame::new(&tree.nodes[node].plane, tree.north);
-        let (sheets, widest) = blockers(&frame, &tree.nodes[node].sheets);
+        let (sheets, widest) = blockers(&frame, &tree.nodes[node].sheets, triangles);
         let opaque: Vec<Flat> = sheets.into_iter().filter(|s| s.leaf == 1).collect();
         while at < wanted.len() && links[wanted[at]].node as usize == node {
             let link = &links[wanted[at]];

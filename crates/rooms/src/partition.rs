@@ -17,6 +17,8 @@ use std::collections::BTreeMap;
 
 /// Leaves wider than this are not asked whether they are solid, m.
 const SOLID_WIDTH: f64 = 1.2;
+/// Whether normals are to be trusted is seen from so many cells.
+const MOST_LOOKS: usize = 64;
 /// Where normals tell nothing, leaves thinner than this may be walls, m.
 const WALL: f64 = 0.45;
 /// Lengths that tell a door from a room shrink with scenes smaller than this, m: a Cornell box of
@@ -148,6 +150,7 @@ fn with_probe<R>(
     triangles: &[[[f32; 3]; 3]],
     opaque: &(dyn Fn(usize) -> bool + Sync),
     scale: f64,
+    known: Option<Facing>,
     f: impl FnOnce(&Probe<'_>) -> R,
 ) -> R {
     let same: Vec<u32> = (0..tree.leaves.len() as u32).collect();
@@ -161,7 +164,7 @@ fn with_probe<R>(
         delta,
     };
     let mut probe = Probe { bsp, lists: &lists, triangles, opaque, facing: Facing::Front };
-    probe.facing = facing(tree, &probe, scale);
+    probe.facing = known.unwrap_or_else(|| facing(tree, &probe, scale));
     f(&probe)
 }
 
@@ -180,9 +183,9 @@ fn facing(tree: &Tree, probe: &Probe<'_>, scale: f64) -> Facing {
     for &(_, leaf) in open
         .iter()
         .filter(|o| tree.leaves[o.1 as usize].cell.width() > SOLID_WIDTH * scale)
-        .take(200)
+        .take(MOST_LOOKS)
     {
-        let sight = probe.look(tree.leaves[leaf as usize].cell.centre(), 14);
+        let sight = probe.look(tree.leaves[leaf as usize].cell.centre(), 8);
         backs += sight.backs;
         hits += sight.hits;
     }
@@ -198,7 +201,7 @@ fn divide(
     found: &[Link],
     hints: &[Footprint],
 ) -> Merged {
-    with_probe(tree, delta, triangles, opaque, scale, |probe| {
+    with_probe(tree, delta, triangles, opaque, scale, None, |probe| {
         let facts: Vec<LeafFacts> = tree
             .leaves
             .iter()
@@ -228,7 +231,7 @@ fn divide(
             .collect();
         let backs = |leaf: u32| probe.look(tree.leaves[leaf as usize].cell.centre(), 14).backs;
         let ahead: Vec<f64> = found.iter().map(|l| ahead(tree, probe, l, scale)).collect();
-        merge(&facts, found, &ahead, scale, probe.facing == Facing::Mixed, &backs)
+        merge(&facts, found, &ahead, scale, probe.facing, &backs)
     })
 }
 
@@ -446,7 +449,7 @@ struct Draft {
 }
 
 fn describe(
-    tree: Tree,
+    mut tree: Tree,
     delta: f64,
     scale: f64,
     triangles: &[[[f32; 3]; 3]],
@@ -458,19 +461,20 @@ fn describe(
     for (leaf, &region) in divided.region.iter().enumerate() {
         leaves_of[region as usize].push(leaf as u32);
     }
-    let mut drafts: Vec<Draft> = with_probe(&tree, delta, triangles, opaque, scale, |probe| {
-        leaves_of
-            .iter()
-            .enumerate()
-            .map(|(region, leaves)| {
-                let outside = divided.outside == Some(region as u32);
-                let airy: Vec<u32> =
-                    leaves.iter().copied().filter(|&l| !divided.solid[l as usize]).collect();
-                let own = if airy.is_empty() { leaves } else { &airy };
-                Draft { region: region as u32, record: draft(&tree, own, outside, probe) }
-            })
-            .collect()
-    });
+    let mut drafts: Vec<Draft> =
+        with_probe(&tree, delta, triangles, opaque, scale, Some(divided.facing), |probe| {
+            leaves_of
+                .iter()
+                .enumerate()
+                .map(|(region, leaves)| {
+                    let outside = divided.outside == Some(region as u32);
+                    let airy: Vec<u32> =
+                        leaves.iter().copied().filter(|&l| !divided.solid[l as usize]).collect();
+                    let own = if airy.is_empty() { leaves } else { &airy };
+                    Draft { region: region as u32, record: draft(&tree, own, outside, probe) }
+                })
+                .collect()
+        });
     // By storey, then x, then y; the outside last. Quantised, so that rounding cannot reorder.
     let quantised = |x: f32, step: f32| (x / step).round() as i64;
     drafts.sort_by_key(|d| {
@@ -500,7 +504,10 @@ fn describe(
         })
         .collect();
     let mut rooms: Vec<RoomRecord> = drafts.into_iter().map(|d| d.record).collect();
-    let (portals, pieces) = portals(&tree, found, &room, &divided.solid);
+    let (portals, pieces) = portals(&tree, triangles, found, &room, &divided.solid);
+    for node in &mut tree.nodes {
+        node.sheets = Vec::new();
+    }
     for (i, r) in rooms.iter_mut().enumerate() {
         let first = portals.partition_point(|p: &PortalRecord| (p.room as usize) < i);
         let end = portals.partition_point(|p: &PortalRecord| p.room as usize <= i);
@@ -610,6 +617,7 @@ fn centroid(poly: &[DVec3]) -> Option<DVec3> {
 
 fn portals(
     tree: &Tree,
+    triangles: &[[[f32; 3]; 3]],
     found: &[Link],
     room: &[u32],
     solid: &[bool],
@@ -625,7 +633,7 @@ fn portals(
         .collect();
     // (lower room, higher room) -> pieces facing the lower one.
     let mut between: BTreeMap<(u32, u32), Vec<Vec<DVec3>>> = BTreeMap::new();
-    for (link, mut corners) in pieces(tree, found, &wanted) {
+    for (link, mut corners) in pieces(tree, triangles, found, &wanted) {
         let [front, back] = found[link].leaves.map(|l| room[l as usize]);
         if front > back {
             corners.reverse();

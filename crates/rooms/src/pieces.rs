@@ -87,13 +87,10 @@ impl Partition {
         let faces: usize = tree.leaves.iter().map(|l| l.cell.faces.len()).sum();
         let corners: usize =
             tree.leaves.iter().flat_map(|l| &l.cell.faces).map(|f| f.corners.len()).sum();
-        let sheets: usize =
-            tree.nodes.iter().flat_map(|n| &n.sheets).map(|s| s.corners.len() * 24 + 48).sum();
         (tree.leaves.len() * (size_of::<Leaf>() + 16)
             + faces * (size_of::<Face>() + 16)
             + corners * size_of::<DVec3>()
             + tree.nodes.len() * size_of::<Node>()
-            + sheets
             + self.portal_pieces.len() * size_of::<PortalPieceRecord>()) as u64
     }
 

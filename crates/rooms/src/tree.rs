@@ -36,8 +36,20 @@ pub(crate) struct Fragment {
 /// A polygon in a splitting plane.
 #[derive(Clone, Debug)]
 pub(crate) struct Sheet {
-    pub(crate) corners: Vec<DVec3>,
     pub(crate) opaque: bool,
+    triangle: u32,
+    /// What is left of the triangle; `None` = all of it.
+    corners: Option<Box<[DVec3]>>,
+}
+
+impl Sheet {
+    /// Its corners, with the triangles of the scene.
+    pub(crate) fn corners(&self, triangles: &[[[f32; 3]; 3]]) -> Vec<DVec3> {
+        match &self.corners {
+            Some(corners) => corners.to_vec(),
+            None => triangles[self.triangle as usize].map(point).to_vec(),
+        }
+    }
 }
 
 #[derive(Clone, Debug)]
@@ -114,7 +126,8 @@ impl Walls<'_> {
             let (lo, hi) = self.with_corners(&fragment, |corners| range(corners, plane));
             if lo >= -self.tolerance && hi <= self.tolerance {
                 let opaque = (self.opaque)(fragment.triangle as usize);
-                sheets.push(Sheet { corners: self.corners(&fragment), opaque });
+                let Fragment { triangle, corners, .. } = fragment;
+                sheets.push(Sheet { opaque, triangle, corners });
             } else if lo >= -self.tolerance {
                 front.push(fragment);
             } else if hi <= self.tolerance {
@@ -128,6 +141,9 @@ impl Walls<'_> {
                 }
             }
         }
+        front.shrink_to_fit();
+        back.shrink_to_fit();
+        sheets.shrink_to_fit();
         [front, back]
     }
 }
@@ -202,7 +218,7 @@ pub(crate) fn build(
             let leaf = tree.leaves.len() as u32;
             link(&mut tree, job.parent, job.front, leaf | LEAF);
             tree.leaves.push(Leaf {
-                cell: job.cell,
+                cell: job.cell.shrunk(),
                 fragments: job.fragments,
                 parent: job.parent,
                 base: leaf,
@@ -436,9 +452,10 @@ impl Tree {
         let [f, b] = sides;
         self.replace(parent, leaf | LEAF, index);
         self.nodes.push(Node { plane: *plane, front: new | LEAF, back: leaf | LEAF, cut, sheets });
-        self.leaves[leaf as usize] = Leaf { cell: back, fragments: b, parent: index, base };
+        self.leaves[leaf as usize] =
+            Leaf { cell: back.shrunk(), fragments: b, parent: index, base };
         let base = if cut { base } else { new };
-        self.leaves.push(Leaf { cell: front, fragments: f, parent: index, base });
+        self.leaves.push(Leaf { cell: front.shrunk(), fragments: f, parent: index, base });
         Some(new)
     }
 
