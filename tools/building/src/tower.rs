@@ -11,10 +11,10 @@
 
 use crate::assemble::{Drawing, look};
 use crate::fittings::grid;
+use crate::lamps::{NEUTRAL, WARM};
 use crate::outline::Frame;
 use crate::plan::{Filling, Panel};
 use crate::storey::{Door, OUTER, Storey, Use, WALL, Weight, cells};
-use crate::zbuilding::{NEUTRAL, WARM};
 
 /// Modules along the building, and what one of them takes of its length.
 const MODULES: usize = 30;
