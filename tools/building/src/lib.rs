@@ -26,7 +26,7 @@
 //! | [`carcass`], [`fittings`], [`assemble`] | how do such walls stand up, on each other? |
 //! | [`lamps`] | who turned on the light? |
 //! | [`furniture`], [`furnish`] | who put the chair there? |
-//! | [`write`] | what is in the files? |
+//! | [`mod@write`] | what is in the files? |
 
 pub mod assemble;
 pub mod carcass;
