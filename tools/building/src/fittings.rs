@@ -3,7 +3,7 @@
 
 use crate::furnish::Placement;
 use crate::joinery::{casing, entrance, flight, hung, railing, screen, window};
-use crate::lamps::luminaire;
+use crate::lamps::{LUMENS_PER_AREA, luminaire};
 use crate::mesh::{Mesh, cuboid, rounded, v};
 use crate::outline::{Convex, Frame, at, shared, turn_of};
 use crate::palette::PANEL;
@@ -19,9 +19,6 @@ pub const RUN: f64 = GOING * (RISERS - 1) as f64;
 pub const WELL: f64 = 1.25;
 /// Width of a flight, metres.
 pub const FLIGHT: f64 = 1.2;
-
-/// Luminous flux installed per floor area, lumens per square metre.
-const LUMENS_PER_AREA: f64 = 330.0;
 
 /// Windows, casings and skirting of a storey at z = 0.
 pub fn trim(storey: &Storey) -> Mesh {
@@ -194,8 +191,8 @@ pub fn panel_area(mesh: &Mesh) -> f64 {
         .sum()
 }
 
-/// Panels in rows over a room: about one for each `each` square metres of `rect`, in its frame.
-/// The rows run to and fro, so that one rail can join them.
+/// `nx` by `ny` panels over the rectangle `x0, y0, x1, y1` of a frame, each a luminaire of its own
+/// or all joined: the rows run to and fro, so that one rail can do it.
 pub fn grid(
     frame: &Frame,
     (x0, y0, x1, y1): (f64, f64, f64, f64),

@@ -6,6 +6,7 @@
 pub mod auto;
 mod catalogue;
 mod rooms;
+mod wishes;
 
 use crate::Part;
 use crate::mesh::{Mesh, radians, sin_cos, v};

@@ -10,6 +10,13 @@ use crate::palette::PANEL;
 use crate::plan::{Lamp, Panel, Plan};
 use std::f64::consts::TAU;
 
+/// Warm white, about 3000 K.
+pub const WARM: [f64; 3] = [1.0, 0.82, 0.58];
+/// Neutral white, about 4000 K.
+pub const NEUTRAL: [f64; 3] = [1.0, 0.91, 0.78];
+/// Luminous flux installed per floor area, lumens per square metre.
+pub const LUMENS_PER_AREA: f64 = 330.0;
+
 /// How far the panel is below the ceiling, metres.
 pub const DROP: f64 = 0.05;
 

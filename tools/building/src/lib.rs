@@ -1,9 +1,20 @@
 //! Buildings to order: walls, doors, lamps, and far too many chairs.
 //!
 //! [`generate`] writes a scene file and its meshes; [`design()`] makes the same building in memory.
-//! The L-shape follows Table 1 of Fradin, Meneveaux and Horna 2005, *Out-of-Core Photon-Mapping
-//! for Large Buildings*: two floors, 27 rooms, 24 lights, about 336,500 triangles. Nobody's
-//! furniture was copied; all of it is turned, cut and upholstered here, from a seed.
+//! The buildings follow Tables 1 to 3 of Fradin, Meneveaux and Horna 2005, *Out-of-Core
+//! Photon-Mapping for Large Buildings*. Nobody's furniture was copied; all of it is turned, cut
+//! and upholstered here, from a seed.
+//!
+//! | kind | floors | rooms | lights | triangles |
+//! |---|---|---|---|---|
+//! | [`lshape`] | 2 | 27 | 24 | 0.34 million |
+//! | [`zbuilding`] | 1 | 22 | 15 | 1.07 million |
+//! | [`octagon`] | 3 | 232 | 155 | 5.2 million |
+//! | [`tower`] | 100 | 17,800 | 61,000 | 1.07 billion |
+//!
+//! The L-shape is furnished by hand, on one plan with boxes for rooms. The others are storeys with
+//! walls at any angle, drawn once and stacked, furnished by an automatic process; however tall,
+//! each mesh is there once and has a place on every floor.
 //!
 //! | module | question |
 //! |---|---|
@@ -11,9 +22,11 @@
 //! | [`palette`] | what colour is it? |
 //! | [`plan`], [`lshape`] | where is the door? |
 //! | [`shell`], [`joinery`] | how does the wall around it stand up? |
+//! | [`outline`], [`storey`], [`zbuilding`], [`octagon`], [`tower`] | and if walls are not square, and floors many? |
+//! | [`carcass`], [`fittings`], [`assemble`] | how do such walls stand up, on each other? |
 //! | [`lamps`] | who turned on the light? |
 //! | [`furniture`], [`furnish`] | who put the chair there? |
-//! | [`write`] | what is in the files? |
+//! | [`mod@write`] | what is in the files? |
 
 pub mod assemble;
 pub mod carcass;

@@ -14,17 +14,11 @@
 //!          +------+------+-------+------+------+  east
 //! ```
 
+use crate::lamps::{LUMENS_PER_AREA, NEUTRAL, WARM};
 use crate::mesh::{Paint, v};
 use crate::plan::{
     CLEAR, Filling, Lamp, Leaf, Opening, Panel, Plan, Rect, Room, STOREY, Side, View,
 };
-
-/// Warm white, about 3000 K.
-const WARM: [f64; 3] = [1.0, 0.82, 0.58];
-/// Neutral white, about 4000 K.
-const NEUTRAL: [f64; 3] = [1.0, 0.91, 0.78];
-/// Luminous flux installed per floor area, lumens per square metre.
-const LUMENS_PER_AREA: f64 = 330.0;
 
 /// Where the rooms' clear insides begin and end.
 mod line {
@@ -47,6 +41,15 @@ mod line {
 /// The stairwell's slab opening begins here (y); south of it is the landing.
 pub const STAIR_OPENING: f64 = 8.6;
 
+/// What a floor is called in the names of its rooms.
+pub(crate) fn floor_name(storey: u32) -> String {
+    match storey {
+        0 => "ground".to_owned(),
+        1 => "upper".to_owned(),
+        n => format!("floor-{n}"),
+    }
+}
+
 struct Draw {
     rooms: Vec<Room>,
     openings: Vec<Opening>,
@@ -60,11 +63,7 @@ impl Draw {
 
     fn room(&mut self, name: &str, rects: &[Rect], floor: Paint, walls: [Paint; 4]) -> &mut Room {
         let z = self.floor();
-        let prefix = match self.storey {
-            0 => "ground".to_owned(),
-            1 => "upper".to_owned(),
-            n => format!("floor-{n}"),
-        };
+        let prefix = floor_name(self.storey);
         self.rooms.push(Room {
             name: format!("{prefix}/{name}"),
             storey: self.storey,

@@ -10,10 +10,10 @@
 
 use crate::assemble::{Drawing, look};
 use crate::fittings::grid;
+use crate::lamps::{NEUTRAL, WARM};
 use crate::outline::{Convex, Frame, at};
 use crate::plan::{Filling, Panel};
 use crate::storey::{Door, Light, OUTER, Storey, Use, WALL, Weight};
-use crate::zbuilding::{NEUTRAL, WARM};
 
 /// tan 22.5 degrees: half a side of an octagon with apothem 1.
 const K: f64 = std::f64::consts::SQRT_2 - 1.0;

@@ -11,10 +11,10 @@
 
 use crate::assemble::{Drawing, look};
 use crate::fittings::grid;
+use crate::lamps::{NEUTRAL, WARM};
 use crate::outline::Frame;
 use crate::plan::{Filling, Panel};
 use crate::storey::{Door, OUTER, Storey, Use, WALL, Weight, cells};
-use crate::zbuilding::{NEUTRAL, WARM};
 
 /// Modules along the building, and what one of them takes of its length.
 const MODULES: usize = 30;
@@ -47,7 +47,7 @@ pub fn drawing() -> Drawing {
     let views = vec![
         look(&mut s, "corridor", 0, (1.0, 9.6, 1.6), (20.0, 9.3, 1.3), 50.0),
         look(&mut s, "ballroom", 0, (15.9, 18.2, 1.65), (22.0, 22.0, 1.0), 60.0),
-        look(&mut s, "suite", 0, (62.2, 7.4, 1.6), (60.4, 1.5, 0.9), 62.0),
+        look(&mut s, "suite", 0, (60.4, 6.6, 1.6), (62.2, 1.2, 0.9), 62.0),
     ];
     Drawing {
         name: "tower",

@@ -22,14 +22,10 @@
 
 use crate::assemble::{Drawing, look};
 use crate::fittings::grid;
+use crate::lamps::{NEUTRAL, WARM};
 use crate::outline::Frame;
 use crate::plan::{Filling, Panel};
 use crate::storey::{Door, OUTER, Storey, Use, WALL, Weight, cells};
-
-/// Neutral white, about 4000 K.
-pub(crate) const NEUTRAL: [f64; 3] = [1.0, 0.91, 0.78];
-/// Warm white, about 3000 K.
-pub(crate) const WARM: [f64; 3] = [1.0, 0.82, 0.58];
 
 /// Name, use, rectangle, panels across and along (none: unlit), share of the furniture.
 type Row = (&'static str, Use, (f64, f64, f64, f64), (u32, u32), f64);

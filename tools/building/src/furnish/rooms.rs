@@ -5,6 +5,7 @@
 
 use super::{Removal, Site};
 use crate::furniture::{decor, seating, storage, tables, wet};
+use crate::lshape::floor_name;
 use crate::mesh::Paint;
 use crate::plan::{Filling, Side};
 use Side::{East, North, South, West};
@@ -16,11 +17,7 @@ type Furnisher = fn(&mut Site<'_, '_>);
 pub(super) fn furnish(lorry: &mut Removal<'_>) {
     windows(lorry);
     for storey in 0..lorry.plan.storeys {
-        let prefix = match storey {
-            0 => "ground".to_owned(),
-            1 => "upper".to_owned(),
-            n => format!("floor-{n}"),
-        };
+        let prefix = floor_name(storey);
         let list: &[(&str, Furnisher)] = if storey == 0 {
             &[
                 ("canteen", canteen),
