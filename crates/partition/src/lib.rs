@@ -300,7 +300,11 @@ fn partition(
         bounds_max: scene.bounds.1,
         rooms: args.rooms.0,
         hints: match args.hints {
-            HintsArg::Use => scene.hints.iter().map(|h| Hint { min: h.min, max: h.max, polygon: Vec::new() }).collect(),
+            HintsArg::Use => scene
+                .hints
+                .iter()
+                .map(|h| Hint { min: h.min, max: h.max, polygon: Vec::new() })
+                .collect(),
             HintsArg::Ignore => Vec::new(),
         },
     };
