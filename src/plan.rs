@@ -252,11 +252,23 @@ fn middle(corners: &[Point]) -> Point {
     [sum[0] / n, sum[1] / n]
 }
 
-/// A light colour; neighbouring numbers have different ones.
+/// A light colour, as `#rrggbb`; neighbouring numbers have different ones.
 fn colour(room: u32) -> String {
-    let hue = (f64::from(room) * 137.508) % 360.0;
-    let lightness = 78 + (room % 3) * 5;
-    format!("hsl({hue:.0} 62% {lightness}%)")
+    let hue = (f64::from(room) * 137.508) % 360.0 / 60.0;
+    let lightness = 0.78 + f64::from(room % 3) * 0.05;
+    let chroma = 0.62 * (1.0 - (2.0 * lightness - 1.0).abs());
+    let second = chroma * (1.0 - (hue % 2.0 - 1.0).abs());
+    let rgb = match hue as u32 {
+        0 => [chroma, second, 0.0],
+        1 => [second, chroma, 0.0],
+        2 => [0.0, chroma, second],
+        3 => [0.0, second, chroma],
+        4 => [second, 0.0, chroma],
+        _ => [chroma, 0.0, second],
+    };
+    let byte = |x: f64| ((x + lightness - 0.5 * chroma) * 255.0).round().clamp(0.0, 255.0) as u8;
+    let [r, g, b] = rgb.map(byte);
+    format!("#{r:02x}{g:02x}{b:02x}")
 }
 
 fn escaped(text: &str) -> String {

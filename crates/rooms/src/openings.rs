@@ -311,6 +311,8 @@ fn openness(
         bounds: (DVec2, DVec2),
         area: f64,
     }
+    let bound: Vec<bool> =
+        tree.leaves.iter().map(|l| l.cell.faces.iter().any(|f| f.tag >= BOUND)).collect();
     // Nodes that have one plane: a wall may have been cut through in several cells of the tree.
     let key = |node: usize| {
         let plane = &tree.nodes[node].plane;
@@ -354,6 +356,12 @@ fn openness(
         });
         for &k in &mine {
             if links[k].free < 1e-4 {
+                continue;
+            }
+            // The scene's own box is no wall.
+            if links[k].leaves.iter().any(|&l| bound[l as usize]) {
+                links[k].openness = links[k].free / links[k].shared;
+                links[k].flush = true;
                 continue;
             }
             let (mut lo, mut hi) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
