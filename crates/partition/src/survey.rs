@@ -12,9 +12,9 @@ use crate::build::lost;
 /// So many triangles are looked at in any case.
 const ALWAYS: u64 = 500_000;
 /// In a big scene, one of so many: furnished rooms have some hundred large triangles among tens of thousands.
-const ONE_OF: u64 = 256;
+const ONE_OF: u64 = 512;
 /// Never more than these.
-const AT_MOST: u64 = 1_500_000;
+const AT_MOST: u64 = 1_000_000;
 
 /// Triangles that show where the walls are.
 pub(crate) struct Survey {
