@@ -213,8 +213,9 @@ impl BvhView<'_> {
         }
         let far = FAR * f64::from(self.header.delta);
         if mesh.len() != self.header.triangles
-            || !(delta <= self.header.delta)
-            || ray.origin64.iter().any(|x| !(x.abs() <= far))
+            || delta.is_nan()
+            || delta > self.header.delta
+            || ray.origin64.iter().any(|x| x.abs() > far)
         {
             return nearest_by_force(mesh, ray, t_min, t_max, exclude, delta);
         }

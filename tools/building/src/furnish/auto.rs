@@ -435,7 +435,7 @@ fn fill(room: &mut Room<'_>, stock: &mut Stock, goal: u64) {
     }
     if room.space.use_ == Use::Library && room.space.area() > 100.0 {
         rows(room, stock, &Rows("reading", 3.6, 2.6, 0.8, [6.0, 7.0, 8.4]), u64::MAX);
-        rows(room, stock, &Rows("stack", 1.23, 2.15, 1.6, [0.9, 0.8, 0.8]), goal - goal / 40);
+        rows(room, stock, &Rows("stack", 1.23, 1.75, 1.6, [0.9, 0.8, 0.8]), goal - goal / 40);
     }
     let mut failed = 0;
     // A room that is to hold much begins with what holds much: cabinets.

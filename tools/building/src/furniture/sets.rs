@@ -282,7 +282,8 @@ pub fn stack(k: usize, mut rng: Rng) -> Mesh {
     let mut m = Mesh::new();
     for turn in [0.0, 180.0] {
         let label = Rng::new(rng.bits(), "stack");
-        let case = storage::bookcase(WOOD[k % 2], 1.2, 2.15, 6, label);
+        // Low: one looks across a reading hall.
+        let case = storage::bookcase(WOOD[k % 2], 1.2, 1.5, 4, label);
         let back = case.bounds().1.y + 0.001;
         m.add(case.at(0.0, -back, 0.0).turned(turn));
     }
