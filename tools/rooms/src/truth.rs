@@ -332,19 +332,26 @@ mod tests {
         let good = br#"{"model": "m", "spaces": [
             {"guid": "a", "name": "1", "long_name": "Hall", "bbox": [[0,0,0],[4,5,3]], "floor_area_mesh_m2": 20},
             {"guid": "b", "name": "2", "long_name": "Roof", "cobie_bbox": [[4,0,0],[9,5,3]], "cobie_net_area_m2": 25},
-            {"guid": "c", "name": "Site", "cobie_bbox": null}],
+            {"guid": "c", "name": "Site", "cobie_bbox": null},
+            {"guid": "d", "name": "4", "long_name": "Office", "bbox": [[0,5,0],[4,9,3]], "floor_area_mesh_m2": 16}],
           "portals": [{"kind": "door", "name": "D", "connects": "interior", "wall_thickness": 0.2,
             "portal": {"centre": [4,2,1], "normal": [1,0,0], "width": 0.9}, "spaces_by_geometry": ["a", "b"]},
            {"connects": "none"}, {"kind": "window", "connects": "exterior",
-            "portal": {"centre": [0,2,1], "normal": [1,0,0]}, "spaces_by_geometry": ["a", null]}]}"#;
+            "portal": {"centre": [0,2,1], "normal": [1,0,0]}, "spaces_by_geometry": ["a", null]},
+           {"kind": "door", "connects": "interior",
+            "portal": {"centre": [2,5,1], "normal": [0,1,0]}, "spaces_by_geometry": ["d", "a"]}]}"#;
         let truth = parse(good, &BTreeMap::new()).unwrap();
-        assert_eq!(truth.spaces.len(), 2);
+        assert_eq!(truth.spaces.len(), 3);
         assert_eq!(truth.spaces[0].name, "1 Hall");
         assert!(truth.spaces[1].outdoors && !truth.spaces[0].outdoors);
-        assert_eq!(truth.doors.len(), 2);
-        assert_eq!(truth.doors[0].spaces, [Some(0), Some(1)]);
+        assert_eq!(truth.doors.len(), 3);
+        // A door onto a roof leads outside.
+        assert_eq!(truth.doors[0].spaces, [Some(0), None]);
+        assert!(truth.doors[0].exterior && truth.doors[0].door);
         assert_eq!(truth.doors[1].spaces, [Some(0), None]);
         assert!(truth.doors[1].exterior && !truth.doors[1].door);
+        assert_eq!(truth.doors[2].spaces, [Some(2), Some(0)]);
+        assert!(!truth.doors[2].exterior);
         let bad = br#"{"spaces": [{"guid": "a", "name": "1", "bbox": [[0,0,0],[4,5,3]]}]}"#;
         assert!(parse(bad, &BTreeMap::new()).unwrap_err().contains("spaces[0]"));
         assert!(parse(b"{}", &BTreeMap::new()).is_err());

@@ -2,6 +2,7 @@
 
 use std::fs;
 
+use enf_layout::FORMAT_VERSION;
 use enf_layout::journal::{JournalKind, JournalRecord};
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_store::{StageReader, StageWriter, StoreDir, StoreError, verify};
@@ -165,10 +166,12 @@ fn a_newer_format_is_named() {
     let store = sealed(dir.path(), 1);
     let path = dir.path().join(JOURNAL);
     let mut journal = fs::read(&path).unwrap();
-    journal[8] = 2;
+    let newer = FORMAT_VERSION + 1;
+    journal[8..12].copy_from_slice(&newer.to_le_bytes());
     let checksum = xxh3_64(&journal[..56]).to_le_bytes();
     journal[56..64].copy_from_slice(&checksum);
     fs::write(&path, journal).unwrap();
     let error = StageReader::open(&store, STAGE).unwrap_err().to_string();
-    assert!(error.contains("format version 2, this program reads version 1"), "{error}");
+    let words = format!("format version {newer}, this program reads version {FORMAT_VERSION}");
+    assert!(error.contains(&words), "{error}");
 }

@@ -13,7 +13,7 @@ fn fixture(name: &str) -> PathBuf {
     let dir = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("fixtures").join(name);
     if std::env::var_os("ENF_BLESS").is_some() {
         let _ = fs::remove_dir_all(&dir);
-        write(&dir, name == "v1-packed");
+        write(&dir, name == "packed");
     }
     dir
 }
@@ -39,12 +39,12 @@ fn the_format_is_written_as_it_was() {
     let dir = tempdir();
     write(dir.path(), false);
     // Compressed bytes depend on zstd's version; these do not.
-    assert_eq!(files(dir.path()), files(&fixture("v1-raw")));
+    assert_eq!(files(dir.path()), files(&fixture("raw")));
 }
 
 #[test]
 fn the_format_is_read_as_it_was() {
-    let store = StoreDir::open(fixture("v1-packed")).unwrap();
+    let store = StoreDir::open(fixture("packed")).unwrap();
     assert_eq!(verify(&store, STAGE).unwrap().files, 3);
     let reader = StageReader::open(&store, STAGE).unwrap();
     assert_eq!(*reader.identity(), identity());
