@@ -158,6 +158,7 @@ fn rooms(tables: &Tables) -> Value {
         .map(|(id, room)| {
             json!({
                 "room": id,
+                "name": tables.names.rooms.get(id).filter(|n| !n.is_empty()),
                 "kind": if room.flags & LEAF_OUTSIDE != 0 { "outside" } else { "room" },
                 "floor_area_m2": room.floor_area_m2,
                 "volume_m3": room.volume_m3,

@@ -62,8 +62,9 @@ pub(crate) fn hang(
         // The panel must be free at its corners and centre; a smaller one fits into more places.
         let mut ceiling = None;
         while half > 0.04 {
-            let heights: Option<Vec<f32>> =
-                probes(at, half).iter().map(|&p| above(own(), p)).collect();
+            // The ceiling may lie above the room's own cells, over a gap that no wall closes.
+            let height = |&p: &Vec3| above(own(), p).or_else(|| above(walls.iter(), p));
+            let heights: Option<Vec<f32>> = probes(at, half).iter().map(height).collect();
             if let Some(heights) = heights {
                 let (low, high) =
                     heights.iter().fold((f32::INFINITY, 0.0f32), |(l, h), &z| (l.min(z), h.max(z)));

@@ -547,8 +547,13 @@ fn draft(tree: &Tree, leaves: &[u32], outside: bool, probe: &Probe<'_>) -> RoomR
     by_size.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
     let storey = hi.z - lo.z < 4.5;
     let mut best: Option<(f64, DVec3)> = None;
-    for &(_, leaf) in by_size.iter().take(if outside { 1 } else { 5 }) {
+    let asked = &by_size[..by_size.len().min(if outside { 1 } else { 5 })];
+    let width = |leaf: u32| tree.leaves[leaf as usize].cell.width();
+    let widest = asked.iter().map(|&(_, leaf)| width(leaf)).fold(1e-9, f64::max);
+    for &(_, leaf) in asked {
         let cell = &tree.leaves[leaf as usize].cell;
+        // A sliver before a window sees far, and is no place to stand.
+        let wide = (2.0 * width(leaf) / widest).min(1.0);
         let (a, b) = cell.bounds();
         let floor = if storey { lo.z } else { a.z };
         let eyes = floor + EYES;
@@ -568,7 +573,7 @@ fn draft(tree: &Tree, leaves: &[u32], outside: bool, probe: &Probe<'_>) -> RoomR
                 let clear = sight.nearest.min(2.0) + 0.05 * to_faces;
                 if sight.backs > 0.5 { 0.01 * clear } else { clear }
             };
-            let score = clear.max(1e-9) * if fits { 1.0 } else { 0.3 };
+            let score = clear.max(1e-9) * wide * if fits { 1.0 } else { 0.3 };
             if best.is_none_or(|b| score > b.0 * (1.0 + 1e-9)) {
                 best = Some((score, candidate));
             }
