@@ -10,7 +10,7 @@ use enf_layout::journal::LedgerRecord;
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::tables::Tables;
-use enf_stage::{Failure, Result};
+use enf_stage::{Failure, IoContext, Result};
 use enf_store::{MemoryBudget, StageReader, StageState, StoreDir, StoreError, verify};
 use serde_json::{Value, json};
 use xxhash_rust::xxh3::xxh3_128;
@@ -83,8 +83,7 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     let tables = Tables::open(&store, &budget)?;
     if let Some(path) = &args.plan {
         let svg = crate::plan::draw(&tables)?;
-        return std::fs::write(path, svg)
-            .map_err(|e| Failure::io(format!("{}: {e}", path.display())));
+        return std::fs::write(path, svg).at("write", path);
     }
     let mut answer = serde_json::Map::new();
     if args.rooms {

@@ -110,6 +110,8 @@ pub(crate) fn build(
             .map_err(|e| Failure::input(format!("{}: {e}", cli.scene.display())))?
     };
     if let Some(lux) = args.ceiling_lights {
+        // Which room each large triangle is seen from: few are seen from two.
+        let _near = budget.reserve(survey.corners.len() as u64 * 32, "ceilings of the rooms")?;
         let hung = luminaires::hang(&mut world, &rooms, &survey.corners, count as u32, lux);
         say(common, format!("hung {hung} ceiling lights for {lux} lx"));
     }
@@ -332,7 +334,7 @@ fn corners_of_a_cube() -> impl Iterator<Item = DVec3> {
 fn refuse_if_hopeless(cli: &Cli, budget: &MemoryBudget, scene: &Scene, count: u64) -> Result<()> {
     let (own, meshes) = (budget.reserved(), scene.resident_bytes());
     let size = survey::size(count);
-    let (triangles, work) = (size * survey::BYTES_PER_TRIANGLE, size * WORK_BYTES_PER_TRIANGLE);
+    let (triangles, work) = (survey::bytes(count), size * WORK_BYTES_PER_TRIANGLE);
     // First the survey, then, when it is gone, the bins.
     let sorting = route::memory_bytes(cli.common.threads) + Filling::LEAST_BYTES + LEAST_CELLS;
     let needs = own + meshes + (triangles + work).max(sorting);

@@ -2,8 +2,6 @@
 //!
 //! One thread places the instances, others find out where the triangles belong, this one fills the bins.
 
-use std::sync::atomic::{AtomicU64, Ordering};
-
 use crossbeam::channel::{Sender, bounded};
 use enf_rooms::{Partition, Scratch};
 use enf_scene::{Scene, SceneError};
@@ -62,7 +60,7 @@ pub(crate) fn route(
     let progress = Progress::new(common, "sort", Some(count), "triangles");
     let (send_batch, batches) = bounded::<Vec<Record>>(2 * threads);
     let (send_routed, routed) = bounded::<Routed>(2 * threads);
-    let seen = AtomicU64::new(0);
+    let mut seen = 0;
     std::thread::scope(|scope| {
         let producer = scope.spawn(|| produce(scene, extra, send_batch));
         for _ in 0..threads {
@@ -87,18 +85,17 @@ pub(crate) fn route(
                 bins.push(bin, run)?;
                 rest = after;
             }
-            let mut triangles = 0;
             for &(room, n) in &done.owned {
                 passed.owned[room as usize] += u64::from(n);
-                triangles += u64::from(n);
+                seen += u64::from(n);
             }
             passed.digest = passed.digest.wrapping_add(done.digest);
-            progress.set(seen.fetch_add(triangles, Ordering::Relaxed) + triangles);
+            progress.set(seen);
         }
         producer.join().unwrap_or_else(|_| Err(Failure::internal("the reading thread failed")))
     })?;
     progress.finish();
-    if seen.into_inner() != count {
+    if seen != count {
         return Err(Failure::internal("some triangles were lost on their way to their rooms"));
     }
     Ok(passed)

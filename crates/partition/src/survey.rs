@@ -24,13 +24,19 @@ pub(crate) struct Survey {
     pub(crate) material_of: Array<u32>,
 }
 
-/// Bytes that a surveyed triangle takes here.
-pub(crate) const BYTES_PER_TRIANGLE: u64 = 40;
+/// Bytes that a survey takes of a scene of `count` triangles.
+pub(crate) fn bytes(count: u64) -> u64 {
+    let buckets = if size(count) < count { BUCKETS as u64 * 8 } else { 0 };
+    size(count) * 40 + buckets
+}
 
 /// How many triangles of a scene of `count` are looked at.
 pub(crate) fn size(count: u64) -> u64 {
     (count / ONE_OF).clamp(ALWAYS, AT_MOST).min(count)
 }
+
+/// Buckets of sizes: one for each value of a float's upper half and sign.
+const BUCKETS: usize = 1 << 17;
 
 /// Twice the area of a triangle, as its bucket: sizes that differ by less than 0.4 % may share one.
 fn bucket(corners: &[[f32; 3]; 3]) -> usize {
@@ -60,7 +66,10 @@ impl Survey {
         let (mut above, mut ties) = (0, u64::MAX);
         let progress = Progress::new(common, "survey", Some(count), "triangles");
         if size < count {
-            let mut buckets = vec![0u64; 1 << 17];
+            let mut buckets: Array<u64> =
+                Array::with_capacity(budget, BUCKETS, "sizes of triangles")?;
+            // Just made with place for them.
+            let _ = buckets.resize(BUCKETS, 0);
             scene
                 .for_each_triangle(|t| {
                     buckets[bucket(&t.corners)] += 1;
@@ -132,7 +141,7 @@ mod tests {
         }
         std::fs::write(&obj, text).unwrap();
         let scene = enf_scene::load(&obj, &enf_scene::LoadOptions::default()).unwrap();
-        let budget = MemoryBudget::new(1 << 20);
+        let budget = MemoryBudget::new(2 << 20);
         for size in [1, 2, 7, 33, 79, 80] {
             let survey = Survey::take(&scene, size, &common, &budget).unwrap();
             // Of two that are alike, the first; in global order.

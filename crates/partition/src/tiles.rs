@@ -58,7 +58,9 @@ impl Sorted {
             if !(0..self.pieces.len()).any(|i| !hopeless[i] && big(self, i)) {
                 return Ok(());
             }
-            let _sample = budget.reserve(SAMPLE * 3 * 36, "a sample of a large room")?;
+            // The sample, and a block of records for each of the two passes.
+            let block = self.bins.iter().map(Bins::read_bytes).max().unwrap_or(0);
+            let _sample = budget.reserve(SAMPLE * 3 * 36 + block, "a sample of a large room")?;
             // The tree first: it says how many parts there are.
             let mut pieces = Vec::with_capacity(self.pieces.len());
             let mut stays = Vec::with_capacity(self.pieces.len());

@@ -2,15 +2,16 @@
 
 use arrayvec::ArrayVec;
 use enf_layout::bvh::{BvhNode, CHILD_INNER, DEPTH, WIDTH};
-use pulp::x86::V3;
-use pulp::{NullaryFnOnce, cast};
+use pulp::NullaryFnOnce;
+#[cfg(target_arch = "x86_64")]
+use pulp::{cast, x86::V3};
 
 use super::BvhView;
 use crate::mesh::TileMesh;
 use crate::query::{Query, nearest_by_force};
 use crate::ray::{Hit, PreparedRay};
 
-/// Origins farther out than this many tolerances are beyond what the slab test in `f32` can vouch for: two scenes.
+/// Origins farther out than this many tolerances are beyond what the slab test in `f32` can vouch for: four scenes.
 const FAR: f64 = (1u64 << 21) as f64;
 /// Directions have at least this component: it keeps products finite, and moves the ray by nothing.
 const LEAST: f32 = 1e-25;
@@ -74,6 +75,7 @@ impl Lanes for Portable {
     }
 }
 
+#[cfg(target_arch = "x86_64")]
 impl Lanes for V3 {
     #[inline(always)]
     fn enter(self, node: &BvhNode, ray: &Slabs, from: f32, to: f32) -> (u32, [f32; WIDTH]) {
@@ -198,7 +200,7 @@ impl BvhView<'_> {
     ///
     /// `mesh` and `delta` are those that the hierarchy was built for. The result is exactly that of
     /// [`nearest_by_force`], on every machine; it takes over for a foreign mesh, a larger `delta`, and origins
-    /// beyond two scenes.
+    /// beyond four scenes.
     pub fn nearest(
         &self,
         mesh: &TileMesh,
@@ -208,21 +210,11 @@ impl BvhView<'_> {
         exclude: u32,
         delta: f32,
     ) -> Option<Hit> {
-        if !ray.valid {
-            return None;
-        }
-        let far = FAR * f64::from(self.header.delta);
-        if mesh.len() != self.header.triangles
-            || delta.is_nan()
-            || delta > self.header.delta
-            || ray.origin64.iter().any(|x| x.abs() > far)
-        {
-            return nearest_by_force(mesh, ray, t_min, t_max, exclude, delta);
-        }
         let query = Query::new(mesh, t_min, t_max, exclude, delta);
-        match V3::try_new() {
-            Some(lanes) => lanes.vectorize(Walk { lanes, bvh: self, query, ray }),
-            None => Walk { lanes: Portable, bvh: self, query, ray }.call(),
+        match self.asks(&query, ray) {
+            Some(false) => nearest_by_force(mesh, ray, t_min, t_max, exclude, delta),
+            Some(true) => best_walk(self, query, ray),
+            None => None,
         }
     }
 
@@ -237,10 +229,37 @@ impl BvhView<'_> {
         exclude: u32,
         delta: f32,
     ) -> Option<Hit> {
-        if !ray.valid {
-            return None;
-        }
         let query = Query::new(mesh, t_min, t_max, exclude, delta);
-        Walk { lanes: Portable, bvh: self, query, ray }.call()
+        match self.asks(&query, ray) {
+            Some(false) => nearest_by_force(mesh, ray, t_min, t_max, exclude, delta),
+            Some(true) => Walk { lanes: Portable, bvh: self, query, ray }.call(),
+            None => None,
+        }
     }
+
+    /// Whether the hierarchy can vouch for its answer to a query; `None` for a ray that hits nothing anyway.
+    #[inline(always)]
+    fn asks(&self, query: &Query<'_>, ray: &PreparedRay) -> Option<bool> {
+        let far = FAR * f64::from(self.header.delta);
+        ray.valid.then(|| {
+            query.mesh.len() == self.header.triangles
+                && query.delta <= self.header.delta
+                && ray.origin64.iter().all(|x| x.abs() <= far)
+        })
+    }
+}
+
+/// Walks with the best instructions that the machine has.
+#[cfg(target_arch = "x86_64")]
+fn best_walk(bvh: &BvhView<'_>, query: Query<'_>, ray: &PreparedRay) -> Option<Hit> {
+    match V3::try_new() {
+        Some(lanes) => lanes.vectorize(Walk { lanes, bvh, query, ray }),
+        None => Walk { lanes: Portable, bvh, query, ray }.call(),
+    }
+}
+
+/// Walks with the best instructions that the machine has.
+#[cfg(not(target_arch = "x86_64"))]
+fn best_walk(bvh: &BvhView<'_>, query: Query<'_>, ray: &PreparedRay) -> Option<Hit> {
+    Walk { lanes: Portable, bvh, query, ray }.call()
 }
