@@ -13,7 +13,7 @@
 //! outline that comes nearest to the ray. A hit that moves is still a hit: the signs let the neighbour
 //! triangle say "not mine", so dropping it would open the very crack that the signs had closed.
 
-use glam::{DVec3, Vec3, Vec4, Vec4Swizzles};
+use glam::{Vec3, Vec4};
 
 /// A ray in store coordinates. It keeps its origin and direction for its whole flight; `t` grows.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,36 +32,45 @@ impl Ray {
 }
 
 /// Where a ray meets a tile's mesh.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug)]
 pub struct Hit {
     /// Distance along the ray, m.
     pub t: f32,
-    /// Index of the triangle in its tile.
-    pub triangle: u32,
     /// Index of the triangle in the scene.
     pub global: u32,
     /// Barycentric weight of corner 1.
     pub u: f32,
     /// Barycentric weight of corner 2; corner 0 has `1 - u - v`.
     pub v: f32,
+    /// Where the structure that was asked keeps the triangle: for [`crate::Structure::corners`] and
+    /// [`crate::Structure::material`], and not part of what makes hits equal.
+    pub slot: u32,
 }
 
-/// A ray with what every triangle test needs of it: the shear of Woop et al. and `f64` copies.
+impl PartialEq for Hit {
+    fn eq(&self, other: &Self) -> bool {
+        (self.t, self.global, self.u, self.v) == (other.t, other.global, other.u, other.v)
+    }
+}
+
+/// A ray with what every triangle test needs of it: the shear of Woop et al.
 #[derive(Clone, Copy, Debug)]
 pub struct PreparedRay {
     /// Axis along which the direction is longest; the first of them on ties.
     pub(crate) axis: usize,
     pub(crate) origin: [f32; 3],
+    pub(crate) direction: [f32; 3],
     /// `d[axis + 1] / d[axis]` and `d[axis + 2] / d[axis]`, axes modulo 3.
-    shear: [f32; 2],
-    pub(crate) origin64: [f64; 3],
-    pub(crate) direction64: [f64; 3],
+    pub(crate) shear: [f32; 2],
+    /// `1 / d[axis]`.
+    pub(crate) inverse: f32,
     /// Origin and direction are finite and the direction is not zero.
     pub(crate) valid: bool,
 }
 
 impl PreparedRay {
     /// Prepares a ray. A ray that is not finite, or has no direction, hits nothing.
+    #[inline]
     pub fn new(ray: &Ray) -> Self {
         let d = ray.direction.to_array();
         let m = ray.direction.abs();
@@ -75,17 +84,11 @@ impl PreparedRay {
         Self {
             axis,
             origin: ray.origin.to_array(),
+            direction: d,
             shear: [d[(axis + 1) % 3] / d[axis], d[(axis + 2) % 3] / d[axis]],
-            origin64: ray.origin.to_array().map(f64::from),
-            direction64: d.map(f64::from),
+            inverse: 1.0 / d[axis],
             valid: ray.origin.is_finite() && ray.direction.is_finite() && d[axis] != 0.0,
         }
-    }
-
-    /// The ray that this was made from.
-    pub fn ray(&self) -> Ray {
-        let d = self.direction64.map(|x| x as f32);
-        Ray { origin: Vec3::from_array(self.origin), direction: Vec3::from_array(d) }
     }
 }
 
@@ -113,87 +116,211 @@ pub fn intersect(
     }
 }
 
-/// [`intersect`] for rays whose longest axis is `Z`. Axes are `(Z + 1, Z + 2, Z)` modulo 3 without
-/// the swap of Woop et al.: it flips the three signs together, and both sides count here.
+/// [`intersect`] for rays whose longest axis is `Z`.
 #[inline(always)]
 pub(crate) fn intersect_along<const Z: usize>(
     ray: &PreparedRay,
     corners: [&[f32; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
-    // One lane per corner. Only lane-wise arithmetic, which is the same on every machine.
-    let [a, b, c] = corners;
-    let lanes =
-        |axis: usize| Vec4::new(a[axis], b[axis], c[axis], 0.0) - Vec4::splat(ray.origin[axis]);
-    let z = lanes(Z);
-    let px = lanes(x) - Vec4::splat(ray.shear[0]) * z;
-    let py = lanes(y) - Vec4::splat(ray.shear[1]) * z;
-    let edges = px.zxyw() * py.yzxw() - py.zxyw() * px.yzxw();
-    let negative = edges.cmplt(Vec4::ZERO).bitmask() & 7;
-    let positive = edges.cmpgt(Vec4::ZERO).bitmask() & 7;
-    if negative != 0 && positive != 0 {
+    let splat = |c: &[f32; 3]| [[c[0]; 4], [c[1]; 4], [c[2]; 4]];
+    let four = four::<Z>(ray, &[splat(corners[0]), splat(corners[1]), splat(corners[2])]);
+    if (four.hit | four.unsure) & 1 == 0 {
         return None;
     }
-    settle::<Z>(ray, corners, [px, py], edges, delta)
+    let reach = reach(delta);
+    let within = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= reach);
+    let tame = within(&ray.origin) && corners.iter().all(|c| within(c));
+    if four.kept(if tame { margin(delta) } else { -1.0 }) & 1 == 0 {
+        return settle::<Z>(ray, corners, delta);
+    }
+    let origin = ray.origin.map(f64::from);
+    let relative = corners.map(|c| relative(c, origin));
+    (!has_no_area(&relative)).then_some((four.t.x, four.u.x, four.v.x))
 }
 
-/// The rest of the test for the few triangles whose `f32` edge functions have no two strict signs.
+/// A ray and four triangles, in `f32` and in lanes: only lane-wise arithmetic, which is the same on every machine.
+pub(crate) struct Four {
+    /// Where the ray meets each triangle.
+    pub(crate) t: Vec4,
+    pub(crate) u: Vec4,
+    pub(crate) v: Vec4,
+    /// How far `o + t d` is from the point of the triangle, at most, along any axis, m. May be NaN.
+    off: Vec4,
+    /// No part of the triangle is nearer than this.
+    pub(crate) nearest: Vec4,
+    /// Triangles whose edge functions have one strict sign, a bit each.
+    pub(crate) hit: u32,
+    /// Triangles with an edge function that is zero, while the others have one sign.
+    pub(crate) unsure: u32,
+}
+
+impl Four {
+    /// Which of the hits keep the margin.
+    #[inline(always)]
+    pub(crate) fn kept(&self, margin: f32) -> u32 {
+        // Not the other way round: NaN must fail.
+        self.hit & self.off.cmple(Vec4::splat(margin)).bitmask()
+    }
+}
+
+/// Coordinates that are not larger than this are the scene's, for its tolerance; see [`margin`].
+pub(crate) fn reach(delta: f32) -> f32 {
+    delta * (1 << 19) as f32
+}
+
+/// A hit that `f32` arithmetic finds no farther off than this along any axis does keep the margin of `delta`.
+///
+/// With `e = 2^-24`, and `S = 2^19 delta = delta / (32 e)` not less than any coordinate of ray and triangle: corners
+/// relative to the origin are at most `2 S`, and rounded by `2 e S`; so are products with weights that add up to one, two
+/// sums, the third weight and `t d`: 12 e S at most. Off by 6 e S in `f32` is off by less than 18 e S in
+/// truth, along three axes less than 31.2 e S, and `delta` is 32 e S.
+pub(crate) fn margin(delta: f32) -> f32 {
+    delta * (3.0 / 16.0)
+}
+
+/// The edge functions of Woop et al. of four triangles (corner, axis, lane), and where the ray meets those that it hits.
+/// Axes are `(Z + 1, Z + 2, Z)` modulo 3 without their swap: it flips the three signs together, and both sides count.
+#[inline(always)]
+pub(crate) fn four<const Z: usize>(ray: &PreparedRay, corners: &[[[f32; 4]; 3]; 3]) -> Four {
+    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
+    let [a, b, c] = [&corners[0], &corners[1], &corners[2]];
+    let (a, b, c) = (seen(ray, a), seen(ray, b), seen(ray, c));
+    let (pa, pb, pc) = (sheared::<Z>(ray, &a), sheared::<Z>(ray, &b), sheared::<Z>(ray, &c));
+    let ea = pc.0 * pb.1 - pc.1 * pb.0;
+    let eb = pa.0 * pc.1 - pa.1 * pc.0;
+    let ec = pb.0 * pa.1 - pb.1 * pa.0;
+    let zero = Vec4::ZERO;
+    let negative = ea.cmplt(zero) & eb.cmplt(zero) & ec.cmplt(zero);
+    let positive = ea.cmpgt(zero) & eb.cmpgt(zero) & ec.cmpgt(zero);
+    let low = ea.cmplt(zero) | eb.cmplt(zero) | ec.cmplt(zero);
+    let high = ea.cmpgt(zero) | eb.cmpgt(zero) | ec.cmpgt(zero);
+    let any = ea.cmpeq(zero) | eb.cmpeq(zero) | ec.cmpeq(zero);
+
+    let scale = Vec4::ONE / (ea + eb + ec);
+    let (wa, u, v) = (ea * scale, eb * scale, ec * scale);
+    let inverse = Vec4::splat(ray.inverse);
+    let t = (wa * a[Z] + u * b[Z] + v * c[Z]) * inverse;
+    let w = Vec4::ONE - u - v;
+    let off = |axis: usize| {
+        let on_triangle = w * a[axis] + u * b[axis] + v * c[axis];
+        (t * Vec4::splat(ray.direction[axis]) - on_triangle).abs()
+    };
+    let (off_x, off_y, off_z) = (off(x), off(y), off(Z));
+    // NaN must stay: where one is, the sum has it.
+    let off = off_x.max(off_y).max(off_z) + zero * (off_x + off_y + off_z);
+    let nearest = (a[Z] * inverse).min(b[Z] * inverse).min(c[Z] * inverse);
+    Four {
+        t,
+        u,
+        v,
+        off,
+        nearest,
+        hit: (negative | positive).bitmask(),
+        unsure: (any & !(low & high)).bitmask(),
+    }
+}
+
+/// A corner of four triangles relative to the ray's origin.
+#[inline(always)]
+fn seen(ray: &PreparedRay, corner: &[[f32; 4]; 3]) -> [Vec4; 3] {
+    [
+        Vec4::from_array(corner[0]) - Vec4::splat(ray.origin[0]),
+        Vec4::from_array(corner[1]) - Vec4::splat(ray.origin[1]),
+        Vec4::from_array(corner[2]) - Vec4::splat(ray.origin[2]),
+    ]
+}
+
+/// Its sheared coordinates.
+#[inline(always)]
+fn sheared<const Z: usize>(ray: &PreparedRay, corner: &[Vec4; 3]) -> (Vec4, Vec4) {
+    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
+    let z = corner[Z];
+    (corner[x] - Vec4::splat(ray.shear[0]) * z, corner[y] - Vec4::splat(ray.shear[1]) * z)
+}
+
+/// The test in `f64` for the few triangles that `f32` leaves in doubt: those with an edge function that is zero, and
+/// those that would break the margin.
+#[cold]
 #[inline(never)]
-fn settle<const Z: usize>(
+pub(crate) fn settle<const Z: usize>(
     ray: &PreparedRay,
     corners: [&[f32; 3]; 3],
-    projected: [Vec4; 2],
-    edges: Vec4,
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let edges = [edges.x, edges.y, edges.z];
-    // NaN has no sign and ends up here.
-    if !ray.valid || !edges.iter().all(|e| e.is_finite()) {
+    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
+    // The projected corners as f32 has them.
+    let projected = corners.map(|p| {
+        let q = [p[0] - ray.origin[0], p[1] - ray.origin[1], p[2] - ray.origin[2]];
+        [q[x] - ray.shear[0] * q[Z], q[y] - ray.shear[1] * q[Z]]
+    });
+    if !ray.valid || !projected.as_flattened().iter().all(|p| p.is_finite()) {
         return None;
     }
-    let mut weights = edges.map(f64::from);
-    if edges.contains(&0.0) {
+    let [a, b, c] = projected;
+    let edge = |p: [f32; 2], q: [f32; 2]| q[0] * p[1] - q[1] * p[0];
+    let edges = [edge(b, c), edge(c, a), edge(a, b)];
+    let weights = if edges.contains(&0.0) {
         // Products of two f32 are exact in f64, so these signs are those of the exact differences.
-        let [px, py] = projected;
-        let corner = |i: usize| [f64::from(px[i]), f64::from(py[i])];
-        weights = edge_functions([corner(0), corner(1), corner(2)]);
-        if mixed(weights) {
-            return None;
-        }
-    }
-    let [a, b, c] = corners.map(|p| DVec3::from_array(p.map(f64::from)));
-    if (b - a).cross(c - a) == DVec3::ZERO {
+        edge_functions(projected.map(|p| p.map(f64::from)))
+    } else {
+        edges.map(f64::from)
+    };
+    if mixed(weights) || !weights.iter().all(|w| w.is_finite()) {
         return None;
     }
-    let origin = DVec3::from_array(ray.origin64);
-    let relative = [a - origin, b - origin, c - origin];
-    if weights == [0.0; 3] {
+    let origin = ray.origin.map(f64::from);
+    let relative = corners.map(|c| relative(c, origin));
+    if has_no_area(&relative) || weights == [0.0; 3] {
         return None;
     }
     at_weights::<Z>(ray, &relative, weights, delta).or_else(|| repair::<Z>(ray, &relative, delta))
 }
 
+/// A corner seen from the ray's origin.
+#[inline(always)]
+fn relative(corner: &[f32; 3], origin: [f64; 3]) -> [f64; 3] {
+    [
+        f64::from(corner[0]) - origin[0],
+        f64::from(corner[1]) - origin[1],
+        f64::from(corner[2]) - origin[2],
+    ]
+}
+
+#[inline(always)]
+fn minus(a: &[f64; 3], b: &[f64; 3]) -> [f64; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// Whether a triangle is a line or a point, exactly.
+#[inline(always)]
+pub(crate) fn has_no_area([a, b, c]: &[[f64; 3]; 3]) -> bool {
+    let (e, f) = (minus(b, a), minus(c, a));
+    e[1] * f[2] == e[2] * f[1] && e[2] * f[0] == e[0] * f[2] && e[0] * f[1] == e[1] * f[0]
+}
+
 /// The hit at unnormalised barycentric weights, if it keeps the margin. Corners are relative to the
 /// ray's origin.
+#[inline(always)]
 fn at_weights<const Z: usize>(
     ray: &PreparedRay,
-    corners: &[DVec3; 3],
+    corners: &[[f64; 3]; 3],
     weights: [f64; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let det = weights[0] + weights[1] + weights[2];
-    let scale = 1.0 / det;
-    let (u, v) = ((weights[1] * scale) as f32, (weights[2] * scale) as f32);
     let [a, b, c] = corners;
+    let scale = 1.0 / (weights[0] + weights[1] + weights[2]);
+    let (u, v) = ((weights[1] * scale) as f32, (weights[2] * scale) as f32);
     let depth = (weights[0] * a[Z] + weights[1] * b[Z] + weights[2] * c[Z]) * scale;
-    let t = (depth / ray.direction64[Z]) as f32;
+    let t = (depth / f64::from(ray.direction[Z])) as f32;
     // Checked on the rounded values, as those are what the caller gets.
-    let on_triangle = *a + f64::from(u) * (*b - *a) + f64::from(v) * (*c - *a);
-    let on_ray = f64::from(t) * DVec3::from_array(ray.direction64);
+    let (e, f) = (minus(b, a), minus(c, a));
+    let (s, u64, v64) = (f64::from(t), f64::from(u), f64::from(v));
+    let off = |i: usize| s * f64::from(ray.direction[i]) - (a[i] + u64 * e[i] + v64 * f[i]);
+    let square = off(0) * off(0) + off(1) * off(1) + off(2) * off(2);
     let delta = f64::from(delta);
     // Not the other way round: NaN must fail.
-    let kept = (on_ray - on_triangle).length_squared() <= delta * delta;
+    let kept = square <= delta * delta;
     (kept && t.is_finite()).then_some((t, u, v))
 }
 
@@ -202,10 +329,10 @@ fn at_weights<const Z: usize>(
 #[inline(never)]
 fn repair<const Z: usize>(
     ray: &PreparedRay,
-    corners: &[DVec3; 3],
+    corners: &[[f64; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let d = ray.direction64;
+    let d = ray.direction.map(f64::from);
     let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
     let shear = [d[x] / d[Z], d[y] / d[Z]];
     let projected = corners.map(|p| [p[x] - shear[0] * p[Z], p[y] - shear[1] * p[Z]]);
