@@ -188,7 +188,6 @@ fn main() {
         }),
     ];
     let queries: Vec<Query> = walks.iter().map(|(r, l)| Query { ray: *r, t_min: 0.0, t_max: f32::INFINITY, exclude: *l }).collect();
-    for what in 0..7 { if std::env::var("M4").is_ok() && what != 4 { continue; } for _ in 0..if std::env::var("M4").is_ok() { 40 } else { 2 } { let s = Instant::now(); let x = bvh.micro(&queries, what); println!("micro {what}: {:.1} ns {x}", s.elapsed().as_secs_f64() * 1e9 / queries.len() as f64); } }
     if std::env::var("M4").is_ok() { return; }
     let mut answers = vec![None; queries.len()];
     for n in [1usize, 4, 16, 64, 256, 1024, 16384] {
@@ -198,10 +197,10 @@ fn main() {
         for _ in 0..200000 / n { for q in &some { c += bvh.nearest(q).is_some() as usize; } }
         println!("same {n}: {:.1} ns", s.elapsed().as_secs_f64() * 1e9 / c as f64);
     }
-    enf_geometry::CNT.store(0, std::sync::atomic::Ordering::Relaxed); let mut bt = vec![];
+ let mut bt = vec![];
     for _ in 0..5 { let s = Instant::now(); for (q, a) in queries.chunks(10000).zip(answers.chunks_mut(10000)) { bvh.nearest_batch(q, a); } bt.push(s.elapsed().as_secs_f64()); }
     bt.sort_by(f64::total_cmp);
-    println!("settled {}", enf_geometry::CNT.load(std::sync::atomic::Ordering::Relaxed) as f64 / 5.0 / rays as f64); println!("batch: {:.2} M rays/s, {:.1} ns", rays as f64 / bt[2] / 1e6, bt[2] / rays as f64 * 1e9);
+     println!("batch: {:.2} M rays/s, {:.1} ns", rays as f64 / bt[2] / 1e6, bt[2] / rays as f64 * 1e9);
     for (q, a) in queries.iter().zip(&answers) { assert_eq!(bvh.nearest(q), *a); }
     // In turn, so that what else the machine does falls on all of them; medians.
     let mut times = [const { Vec::new() }; 3];

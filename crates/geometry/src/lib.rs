@@ -32,6 +32,6 @@ pub use bvh::{BvhHeader, BvhView, build_bvh, complete_bvh, bvh_build_bytes, bvh_
 pub use enf_layout::{NONE, sections::Malformed};
 pub use grid::{GridHeader, GridView, build_grid, grid_build_bytes, grid_bytes_estimate};
 pub use mesh::TileMesh;
-pub use query::{CNT, Query, nearest_by_force};
+pub use query::{Query, nearest_by_force};
 pub use ray::{Hit, PreparedRay, Ray, intersect};
 pub use structure::{Structure, StructureKind, structure_bytes_estimate};

@@ -1,10 +1,12 @@
 //! One question: the nearest canonical hit in an interval, or whether there is one.
 
 use enf_layout::bvh::LeafBlock;
-use glam::Vec4;
+use std::hint::select_unpredictable;
+
+use glam::{BVec4A, Vec4};
 
 use crate::mesh::TileMesh;
-use crate::ray::{Hit, PreparedRay, Ray, four, intersect_along, margin, reach, settle};
+use crate::ray::{Four, Hit, PreparedRay, Ray, four, intersect_arrays, margin, reach, settle};
 
 /// A ray, and which part of it is meant.
 ///
@@ -60,8 +62,8 @@ impl Search {
 
     /// Tests one triangle.
     #[inline(always)]
-    pub(crate) fn test<const Z: usize>(&mut self, corners: [&[f32; 3]; 3], global: u32, slot: u32) {
-        if let Some((t, u, v)) = intersect_along::<Z>(&self.ray, corners, self.delta) {
+    pub(crate) fn test(&mut self, corners: [&[f32; 3]; 3], global: u32, slot: u32) {
+        if let Some((t, u, v)) = intersect_arrays(&self.ray, corners, self.delta) {
             self.offer(Hit { t, global, u, v, slot });
         }
     }
@@ -78,39 +80,56 @@ impl Search {
 
     /// Tests the first `count` triangles of a block.
     #[inline(always)]
-    pub(crate) fn test_block<const Z: usize>(&mut self, block: &LeafBlock, count: u32, slot: u32) {
-        let four = four::<Z>(&self.ray, &block.corners);
+    pub(crate) fn test_block(&mut self, block: &LeafBlock, count: u32, slot: u32) {
+        let four = four(&self.ray, &block.corners);
+        let here = ((1 << count) - 1) & !lanes_of(&block.global, self.exclude);
         let kept = four.kept(self.margin);
-        let here = (1 << count) - 1;
         let (from, to) = (Vec4::splat(self.t_min), Vec4::splat(self.best.t));
-        let mut lanes = kept & here & (four.t.cmpge(from) & four.t.cmple(to)).bitmask();
-        while lanes != 0 {
-            let lane = (lanes.trailing_zeros() & 3) as usize;
-            lanes &= lanes - 1;
-            let (t, u, v) = (four.t.to_array(), four.u.to_array(), four.v.to_array());
-            let (t, u, v, global) = (t[lane], u[lane], v[lane], block.global[lane]);
-            self.offer(Hit { t, global, u, v, slot: slot + lane as u32 });
-        }
+        let good = kept & here & (four.t.cmpge(from) & four.t.cmple(to)).bitmask();
         // What is in doubt, and not beyond the best hit by more than rounding.
-        let before = (four.nearest * NEARLY_ONE).cmpgt(Vec4::splat(self.best.t.max(LEAST)));
-        let doubts = (four.hit & !kept | four.unsure) & here & !before.bitmask();
+        let beyond = (four.nearest * NEARLY_ONE).cmpgt(Vec4::splat(self.best.t.max(LEAST)));
+        let doubts = (four.hit & !kept | four.unsure) & here & !beyond.bitmask();
+
+        // The nearest of the good ones. Whether there is one cannot be foretold: no branch.
+        let t = Vec4::select(lanes(good), four.t, Vec4::splat(f32::INFINITY));
+        let first = t.min_element();
+        let same = good & t.cmpeq(Vec4::splat(first)).bitmask();
+        if same & same.wrapping_sub(1) != 0 {
+            return self.one_by_one(block, &four, good, doubts, slot);
+        }
+        let lane = (same.trailing_zeros() & 3) as usize;
+        let (u, v) = (four.u.to_array()[lane], four.v.to_array()[lane]);
+        let (global, best) = (block.global[lane], self.best);
+        let nearer = first < best.t || (self.found && first == best.t && global < best.global);
+        let nearer = nearer & (good != 0);
+        self.best = Hit {
+            t: select_unpredictable(nearer, first, best.t),
+            global: select_unpredictable(nearer, global, best.global),
+            u: select_unpredictable(nearer, u, best.u),
+            v: select_unpredictable(nearer, v, best.v),
+            slot: select_unpredictable(nearer, slot + lane as u32, best.slot),
+        };
+        self.found |= nearer;
         if doubts != 0 {
-            self.settle::<Z>(block, doubts, slot);
+            self.one_by_one(block, &four, 0, doubts, slot);
         }
     }
 
+    /// The rare ones: hits at the same distance, and triangles that `f32` leaves in doubt.
     #[cold]
     #[inline(never)]
-    fn settle<const Z: usize>(&mut self, block: &LeafBlock, mut lanes: u32, slot: u32) {
-        CNT.fetch_add(1, std::sync::atomic::Ordering::Relaxed);
-        while lanes != 0 {
-            let lane = (lanes.trailing_zeros() & 3) as usize;
-            lanes &= lanes - 1;
-            let corners = block.corners.map(|c| [c[0][lane], c[1][lane], c[2][lane]]);
-            let global = block.global[lane];
-            let [a, b, c] = &corners;
-            if let Some((t, u, v)) = settle::<Z>(&self.ray, [a, b, c], self.delta) {
-                self.offer(Hit { t, global, u, v, slot: slot + lane as u32 });
+    fn one_by_one(&mut self, block: &LeafBlock, four: &Four, good: u32, doubts: u32, slot: u32) {
+        for lane in 0..4 {
+            let (global, slot) = (block.global[lane], slot + lane as u32);
+            if good >> lane & 1 != 0 {
+                let (t, u, v) = (four.t[lane], four.u[lane], four.v[lane]);
+                self.offer(Hit { t, global, u, v, slot });
+            } else if doubts >> lane & 1 != 0 {
+                let corners = block.corners.map(|c| [c[0][lane], c[1][lane], c[2][lane]]);
+                let [a, b, c] = &corners;
+                if let Some((t, u, v)) = settle(&self.ray, [a, b, c], self.delta) {
+                    self.offer(Hit { t, global, u, v, slot });
+                }
             }
         }
     }
@@ -125,13 +144,25 @@ impl Search {
     pub(crate) fn by_force(&mut self, mesh: &TileMesh<'_>) {
         for i in 0..mesh.len() {
             let (corners, global) = (mesh.corner_arrays(i), mesh.global[i as usize]);
-            match self.ray.axis {
-                0 => self.test::<0>(corners, global, i),
-                1 => self.test::<1>(corners, global, i),
-                _ => self.test::<2>(corners, global, i),
-            }
+            self.test(corners, global, i);
         }
     }
+}
+
+/// Which lanes hold a number, a bit each.
+#[inline(always)]
+fn lanes_of(numbers: &[u32; 4], number: u32) -> u32 {
+    let [a, b, c, d] = *numbers;
+    u32::from(a == number)
+        | u32::from(b == number) << 1
+        | u32::from(c == number) << 2
+        | u32::from(d == number) << 3
+}
+
+/// The lanes whose bits are set.
+#[inline(always)]
+fn lanes(bits: u32) -> BVec4A {
+    BVec4A::new(bits & 1 != 0, bits & 2 != 0, bits & 4 != 0, bits & 8 != 0)
 }
 
 /// Less than one by more than four roundings.
@@ -146,4 +177,4 @@ pub fn nearest_by_force(mesh: &TileMesh<'_>, delta: f32, query: &Query) -> Optio
     search.by_force(mesh);
     search.answer()
 }
-pub static CNT: std::sync::atomic::AtomicU64 = std::sync::atomic::AtomicU64::new(0);
+

@@ -69,6 +69,13 @@ pub struct PreparedRay {
 }
 
 impl PreparedRay {
+    /// The axes, turned so that the longest comes last.
+    #[inline(always)]
+    fn axes(&self) -> (usize, usize, usize) {
+        let z = self.axis.min(2);
+        (NEXT[z].min(2), NEXT[NEXT[z].min(2)].min(2), z)
+    }
+
     /// Prepares a ray. A ray that is not finite, or has no direction, hits nothing.
     #[inline]
     pub fn new(ray: &Ray) -> Self {
@@ -92,6 +99,9 @@ impl PreparedRay {
     }
 }
 
+/// The axis after each.
+const NEXT: [usize; 3] = [1, 2, 0];
+
 /// The canonical intersection of a ray with a triangle, both sides: `(t, u, v)` with `t` in m
 /// (negative behind the origin: intervals are the caller's business), `u` and `v` the barycentric
 /// weights of `b` and `c`.
@@ -108,35 +118,35 @@ pub fn intersect(
     c: Vec3,
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let (a, b, c) = (a.to_array(), b.to_array(), c.to_array());
-    match ray.axis {
-        0 => intersect_along::<0>(ray, [&a, &b, &c], delta),
-        1 => intersect_along::<1>(ray, [&a, &b, &c], delta),
-        _ => intersect_along::<2>(ray, [&a, &b, &c], delta),
-    }
+    intersect_arrays(ray, [&a.to_array(), &b.to_array(), &c.to_array()], delta)
 }
 
-/// [`intersect`] for rays whose longest axis is `Z`.
+/// [`intersect`] with corners as a mesh has them.
 #[inline(always)]
-pub(crate) fn intersect_along<const Z: usize>(
+pub(crate) fn intersect_arrays(
     ray: &PreparedRay,
     corners: [&[f32; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let splat = |c: &[f32; 3]| [[c[0]; 4], [c[1]; 4], [c[2]; 4]];
-    let four = four::<Z>(ray, &[splat(corners[0]), splat(corners[1]), splat(corners[2])]);
+    let [a, b, c] = corners;
+    let four = four(ray, &[splat(a), splat(b), splat(c)]);
     if (four.hit | four.unsure) & 1 == 0 {
         return None;
     }
     let reach = reach(delta);
-    let within = |p: &[f32; 3]| p.iter().all(|x| x.abs() <= reach);
-    let tame = within(&ray.origin) && corners.iter().all(|c| within(c));
+    let within = |p: &[f32; 3]| p[0].abs() <= reach && p[1].abs() <= reach && p[2].abs() <= reach;
+    let tame = within(&ray.origin) && within(a) && within(b) && within(c);
     if four.kept(if tame { margin(delta) } else { -1.0 }) & 1 == 0 {
-        return settle::<Z>(ray, corners, delta);
+        return settle(ray, corners, delta);
     }
     let origin = ray.origin.map(f64::from);
     let relative = corners.map(|c| relative(c, origin));
     (!has_no_area(&relative)).then_some((four.t.x, four.u.x, four.v.x))
+}
+
+#[inline(always)]
+fn splat(p: &[f32; 3]) -> [[f32; 4]; 3] {
+    [[p[0]; 4], [p[1]; 4], [p[2]; 4]]
 }
 
 /// A ray and four triangles, in `f32` and in lanes: only lane-wise arithmetic, which is the same on every machine.
@@ -145,8 +155,8 @@ pub(crate) struct Four {
     pub(crate) t: Vec4,
     pub(crate) u: Vec4,
     pub(crate) v: Vec4,
-    /// How far `o + t d` is from the point of the triangle, at most, along any axis, m. May be NaN.
-    off: Vec4,
+    /// How far `o + t d` is from the point of the triangle along each axis, m. May be NaN.
+    off: [Vec4; 3],
     /// No part of the triangle is nearer than this.
     pub(crate) nearest: Vec4,
     /// Triangles whose edge functions have one strict sign, a bit each.
@@ -160,7 +170,9 @@ impl Four {
     #[inline(always)]
     pub(crate) fn kept(&self, margin: f32) -> u32 {
         // Not the other way round: NaN must fail.
-        self.hit & self.off.cmple(Vec4::splat(margin)).bitmask()
+        let margin = Vec4::splat(margin);
+        let [x, y, z] = self.off;
+        self.hit & (x.cmple(margin) & y.cmple(margin) & z.cmple(margin)).bitmask()
     }
 }
 
@@ -180,79 +192,76 @@ pub(crate) fn margin(delta: f32) -> f32 {
 }
 
 /// The edge functions of Woop et al. of four triangles (corner, axis, lane), and where the ray meets those that it hits.
-/// Axes are `(Z + 1, Z + 2, Z)` modulo 3 without their swap: it flips the three signs together, and both sides count.
+/// Axes are turned so that the ray's longest comes last, without the swap of Woop et al.: it flips the three signs
+/// together, and both sides count.
 #[inline(always)]
-pub(crate) fn four<const Z: usize>(ray: &PreparedRay, corners: &[[[f32; 4]; 3]; 3]) -> Four {
-    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
-    let [a, b, c] = [&corners[0], &corners[1], &corners[2]];
-    let (a, b, c) = (seen(ray, a), seen(ray, b), seen(ray, c));
-    let (pa, pb, pc) = (sheared::<Z>(ray, &a), sheared::<Z>(ray, &b), sheared::<Z>(ray, &c));
-    let ea = pc.0 * pb.1 - pc.1 * pb.0;
-    let eb = pa.0 * pc.1 - pa.1 * pc.0;
-    let ec = pb.0 * pa.1 - pb.1 * pa.0;
+pub(crate) fn four(ray: &PreparedRay, corners: &[[[f32; 4]; 3]; 3]) -> Four {
+    let (x, y, z) = ray.axes();
+    let origin = [ray.origin[x], ray.origin[y], ray.origin[z]];
+    let a = seen(&corners[0], (x, y, z), origin);
+    let b = seen(&corners[1], (x, y, z), origin);
+    let c = seen(&corners[2], (x, y, z), origin);
+    let shear = [Vec4::splat(ray.shear[0]), Vec4::splat(ray.shear[1])];
+    let (ax, ay) = (a[0] - shear[0] * a[2], a[1] - shear[1] * a[2]);
+    let (bx, by) = (b[0] - shear[0] * b[2], b[1] - shear[1] * b[2]);
+    let (cx, cy) = (c[0] - shear[0] * c[2], c[1] - shear[1] * c[2]);
+    let ea = cx * by - cy * bx;
+    let eb = ax * cy - ay * cx;
+    let ec = bx * ay - by * ax;
     let zero = Vec4::ZERO;
-    let negative = ea.cmplt(zero) & eb.cmplt(zero) & ec.cmplt(zero);
-    let positive = ea.cmpgt(zero) & eb.cmpgt(zero) & ec.cmpgt(zero);
     let low = ea.cmplt(zero) | eb.cmplt(zero) | ec.cmplt(zero);
     let high = ea.cmpgt(zero) | eb.cmpgt(zero) | ec.cmpgt(zero);
-    let any = ea.cmpeq(zero) | eb.cmpeq(zero) | ec.cmpeq(zero);
+    let none = ea.cmpeq(zero) | eb.cmpeq(zero) | ec.cmpeq(zero);
+    let number = ea.cmpeq(ea) & eb.cmpeq(eb) & ec.cmpeq(ec);
 
     let scale = Vec4::ONE / (ea + eb + ec);
     let (wa, u, v) = (ea * scale, eb * scale, ec * scale);
     let inverse = Vec4::splat(ray.inverse);
-    let t = (wa * a[Z] + u * b[Z] + v * c[Z]) * inverse;
+    let t = (wa * a[2] + u * b[2] + v * c[2]) * inverse;
     let w = Vec4::ONE - u - v;
-    let off = |axis: usize| {
-        let on_triangle = w * a[axis] + u * b[axis] + v * c[axis];
-        (t * Vec4::splat(ray.direction[axis]) - on_triangle).abs()
-    };
-    let (off_x, off_y, off_z) = (off(x), off(y), off(Z));
-    // NaN must stay: where one is, the sum has it.
-    let off = off_x.max(off_y).max(off_z) + zero * (off_x + off_y + off_z);
-    let nearest = (a[Z] * inverse).min(b[Z] * inverse).min(c[Z] * inverse);
+    let off_x = (t * Vec4::splat(ray.direction[x]) - (w * a[0] + u * b[0] + v * c[0])).abs();
+    let off_y = (t * Vec4::splat(ray.direction[y]) - (w * a[1] + u * b[1] + v * c[1])).abs();
+    let off_z = (t * Vec4::splat(ray.direction[z]) - (w * a[2] + u * b[2] + v * c[2])).abs();
+    let same = !(low & high) & number;
     Four {
         t,
         u,
         v,
-        off,
-        nearest,
-        hit: (negative | positive).bitmask(),
-        unsure: (any & !(low & high)).bitmask(),
+        off: [off_x, off_y, off_z],
+        nearest: (a[2] * inverse).min(b[2] * inverse).min(c[2] * inverse),
+        hit: (same & !none).bitmask(),
+        unsure: (same & none).bitmask(),
     }
 }
 
-/// A corner of four triangles relative to the ray's origin.
+/// A corner of four triangles relative to the ray's origin, axes turned.
 #[inline(always)]
-fn seen(ray: &PreparedRay, corner: &[[f32; 4]; 3]) -> [Vec4; 3] {
+fn seen(
+    corner: &[[f32; 4]; 3],
+    (x, y, z): (usize, usize, usize),
+    origin: [f32; 3],
+) -> [Vec4; 3] {
     [
-        Vec4::from_array(corner[0]) - Vec4::splat(ray.origin[0]),
-        Vec4::from_array(corner[1]) - Vec4::splat(ray.origin[1]),
-        Vec4::from_array(corner[2]) - Vec4::splat(ray.origin[2]),
+        Vec4::from_array(corner[x]) - Vec4::splat(origin[0]),
+        Vec4::from_array(corner[y]) - Vec4::splat(origin[1]),
+        Vec4::from_array(corner[z]) - Vec4::splat(origin[2]),
     ]
-}
-
-/// Its sheared coordinates.
-#[inline(always)]
-fn sheared<const Z: usize>(ray: &PreparedRay, corner: &[Vec4; 3]) -> (Vec4, Vec4) {
-    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
-    let z = corner[Z];
-    (corner[x] - Vec4::splat(ray.shear[0]) * z, corner[y] - Vec4::splat(ray.shear[1]) * z)
 }
 
 /// The test in `f64` for the few triangles that `f32` leaves in doubt: those with an edge function that is zero, and
 /// those that would break the margin.
 #[cold]
 #[inline(never)]
-pub(crate) fn settle<const Z: usize>(
+pub(crate) fn settle(
     ray: &PreparedRay,
     corners: [&[f32; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
-    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
+    let (x, y, z) = ray.axes();
     // The projected corners as f32 has them.
     let projected = corners.map(|p| {
         let q = [p[0] - ray.origin[0], p[1] - ray.origin[1], p[2] - ray.origin[2]];
-        [q[x] - ray.shear[0] * q[Z], q[y] - ray.shear[1] * q[Z]]
+        [q[x] - ray.shear[0] * q[z], q[y] - ray.shear[1] * q[z]]
     });
     if !ray.valid || !projected.as_flattened().iter().all(|p| p.is_finite()) {
         return None;
@@ -274,7 +283,7 @@ pub(crate) fn settle<const Z: usize>(
     if has_no_area(&relative) || weights == [0.0; 3] {
         return None;
     }
-    at_weights::<Z>(ray, &relative, weights, delta).or_else(|| repair::<Z>(ray, &relative, delta))
+    at_weights(ray, &relative, weights, delta).or_else(|| repair(ray, &relative, delta))
 }
 
 /// A corner seen from the ray's origin.
@@ -302,7 +311,7 @@ pub(crate) fn has_no_area([a, b, c]: &[[f64; 3]; 3]) -> bool {
 /// The hit at unnormalised barycentric weights, if it keeps the margin. Corners are relative to the
 /// ray's origin.
 #[inline(always)]
-fn at_weights<const Z: usize>(
+fn at_weights(
     ray: &PreparedRay,
     corners: &[[f64; 3]; 3],
     weights: [f64; 3],
@@ -311,8 +320,9 @@ fn at_weights<const Z: usize>(
     let [a, b, c] = corners;
     let scale = 1.0 / (weights[0] + weights[1] + weights[2]);
     let (u, v) = ((weights[1] * scale) as f32, (weights[2] * scale) as f32);
-    let depth = (weights[0] * a[Z] + weights[1] * b[Z] + weights[2] * c[Z]) * scale;
-    let t = (depth / f64::from(ray.direction[Z])) as f32;
+    let (_, _, z) = ray.axes();
+    let depth = (weights[0] * a[z] + weights[1] * b[z] + weights[2] * c[z]) * scale;
+    let t = (depth / f64::from(ray.direction[z])) as f32;
     // Checked on the rounded values, as those are what the caller gets.
     let (e, f) = (minus(b, a), minus(c, a));
     let (s, u64, v64) = (f64::from(t), f64::from(u), f64::from(v));
@@ -327,18 +337,18 @@ fn at_weights<const Z: usize>(
 /// A hit that broke the margin in `f32`, computed again.
 #[cold]
 #[inline(never)]
-fn repair<const Z: usize>(
+fn repair(
     ray: &PreparedRay,
     corners: &[[f64; 3]; 3],
     delta: f32,
 ) -> Option<(f32, f32, f32)> {
     let d = ray.direction.map(f64::from);
-    let (x, y) = ((Z + 1) % 3, (Z + 2) % 3);
-    let shear = [d[x] / d[Z], d[y] / d[Z]];
-    let projected = corners.map(|p| [p[x] - shear[0] * p[Z], p[y] - shear[1] * p[Z]]);
+    let (x, y, z) = ray.axes();
+    let shear = [d[x] / d[z], d[y] / d[z]];
+    let projected = corners.map(|p| [p[x] - shear[0] * p[z], p[y] - shear[1] * p[z]]);
     let weights = edge_functions(projected);
     if !mixed(weights)
-        && let Some(hit) = at_weights::<Z>(ray, corners, weights, delta)
+        && let Some(hit) = at_weights(ray, corners, weights, delta)
     {
         return Some(hit);
     }
@@ -361,7 +371,7 @@ fn repair<const Z: usize>(
             best = (distance, weights);
         }
     }
-    if best.0.is_finite() { at_weights::<Z>(ray, corners, best.1, delta) } else { None }
+    if best.0.is_finite() { at_weights(ray, corners, best.1, delta) } else { None }
 }
 
 /// The three edge functions of a projected triangle seen from the origin: weights of its corners.

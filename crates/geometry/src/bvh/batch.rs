@@ -1,23 +1,40 @@
-//! Many rays at once: while one waits for memory, or for the end of a chain of instructions, others go on.
+//! Many rays at once, in passes that do not branch on what they find.
+//!
+//! A ray alone spends most of its time on waiting: for the memory that holds the next node, for the end of
+//! a chain of instructions, and after each branch that went the other way, which no one can foretell in a
+//! tree. So some dozens are under way together. Each round takes an entry from the stack of each
+//! ray and sorts the rays by what it is; then all that are at a node open it; then all that are at a
+//! block test it. Within a pass nothing depends on anything but its own ray, and what differs
+//! between rays is computed and masked instead of branched on.
 
+use enf_layout::bvh::WIDTH;
 use pulp::NullaryFnOnce;
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::{V3, V4};
 
 use super::BvhView;
-use super::level::{INNER, Level, NOTHING, Portable, Stack};
+use super::level::{INNER, Level, NOTHING, Portable};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
-/// Rays that are on their way at a time.
-const FLIGHT: usize = 16;
+/// Rays that are under way at a time.
+const FLIGHT: usize = 32;
+/// Entries that each of them has room for; the few that need more go alone.
+const ENTRIES: usize = 120;
 
+/// A ray under way.
 struct Traveller<R> {
     boxes: R,
     search: Search,
-    stack: Stack,
+    /// The entry that was taken last.
     at: u32,
-    index: usize,
+    /// Entries above the bottom.
+    len: u32,
+    /// Which query this is.
+    index: u32,
+    /// Where entries begin, and what they are: as a [`super::level::Stack`].
+    enter: [f32; ENTRIES],
+    what: [u32; ENTRIES],
 }
 
 struct Flights<'q, L> {
@@ -27,74 +44,127 @@ struct Flights<'q, L> {
     answers: &'q mut [Option<Hit>],
 }
 
+impl<L: Level> Flights<'_, L> {
+    /// The next query that has something to walk for, as a traveller at the root; answers those before it.
+    #[inline(always)]
+    fn board(&mut self, next: &mut usize, traveller: &mut Traveller<L::Ray>) -> bool {
+        while let Some(query) = self.queries.get(*next) {
+            let index = *next;
+            *next += 1;
+            traveller.search = Search::new(self.bvh.delta, query);
+            if self.bvh.is_plain(&mut traveller.search) {
+                traveller.boxes = self.level.boxes(&traveller.search.ray);
+                traveller.index = index as u32;
+                traveller.enter[..WIDTH].copy_from_slice(&[f32::INFINITY; WIDTH]);
+                traveller.enter[WIDTH - 1] = f32::NEG_INFINITY;
+                traveller.what[WIDTH - 1] = NOTHING;
+                traveller.enter[WIDTH] = f32::NEG_INFINITY;
+                traveller.what[WIDTH] = INNER;
+                traveller.len = WIDTH as u32 + 1;
+                return true;
+            }
+            self.answers[index] = traveller.search.answer();
+        }
+        false
+    }
+}
+
 impl<L: Level> NullaryFnOnce for Flights<'_, L> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
-        let Self { level, bvh, queries, answers } = self;
+    fn call(mut self) {
+        let (level, bvh) = (self.level, self.bvh);
         let mut next = 0;
         let mut flights: Vec<Traveller<L::Ray>> = Vec::with_capacity(FLIGHT);
-        while flights.len() < FLIGHT && next < queries.len() {
-            let search = Search::new(bvh.delta, &queries[next]);
-            flights.push(Traveller {
-                boxes: level.boxes(&search.ray),
-                search,
-                stack: Stack::new(),
-                at: INNER,
-                index: next,
-            });
-            next += 1;
+        let Some(first) = self.queries.first() else { return };
+        let idle = Search::new(bvh.delta, first);
+        while flights.len() < FLIGHT {
+            let mut traveller = Traveller {
+                boxes: level.boxes(&idle.ray),
+                search: idle,
+                at: NOTHING,
+                len: 0,
+                index: 0,
+                enter: [0.0; ENTRIES],
+                what: [0; ENTRIES],
+            };
+            if !self.board(&mut next, &mut traveller) {
+                break;
+            }
+            flights.push(traveller);
         }
-        let mut active = flights.len();
-        let mut order: [usize; FLIGHT] = std::array::from_fn(|i| i);
-        while active > 0 {
-            let mut k = 0;
-            while k < active {
-                let f = &mut flights[order[k]];
-                let at = f.at;
-                if at & INNER != 0 {
-                    if at == NOTHING {
-                        answers[f.index] = f.search.answer();
-                        if next < queries.len() {
-                            f.search = Search::new(bvh.delta, &queries[next]);
-                            f.boxes = level.boxes(&f.search.ray);
-                            f.stack.reset();
-                            f.at = INNER;
-                            f.index = next;
-                            next += 1;
-                        } else {
-                            active -= 1;
-                            order.swap(k, active);
-                        }
-                        continue;
+        let mut active = [0u32; FLIGHT];
+        let mut count = flights.len();
+        for (i, a) in active.iter_mut().enumerate() {
+            *a = i as u32;
+        }
+        let (mut nodes, mut blocks, mut ended) = ([0u32; FLIGHT], [0u32; FLIGHT], [0u32; FLIGHT]);
+        while count > 0 {
+            let (mut at_node, mut at_block, mut at_end) = (0, 0, 0);
+            for &i in &active[..count] {
+                let f = &mut flights[i as usize];
+                let mut len = f.len as usize;
+                loop {
+                    let Some(top) = f.enter[..len].last_chunk::<WIDTH>() else { break };
+                    let open = level.begun(top, f.search.best.t);
+                    // The topmost is the highest bit; without any, all eight go.
+                    len -= (open << 24 | 0x80_0000).leading_zeros() as usize;
+                    if open != 0 {
+                        break;
                     }
-                    let node = &bvh.nodes[(at ^ INNER) as usize];
-                    let s = &f.search;
-                    f.at = level.open(node, &f.boxes, s.t_min, s.best.t, &mut f.stack);
-                    if f.at == NOTHING {
-                        f.at = level.pop(&mut f.stack, s.best.t);
-                    }
-                } else {
-                    let block = at & 0x1fff_ffff;
-                    let count = (at >> 29) + 1;
-                    let b = &bvh.blocks[block as usize];
-                    match f.search.ray.axis {
-                        0 => f.search.test_block::<0>(b, count, 4 * block),
-                        1 => f.search.test_block::<1>(b, count, 4 * block),
-                        _ => f.search.test_block::<2>(b, count, 4 * block),
-                    }
-                    f.at = level.pop(&mut f.stack, f.search.best.t);
                 }
-                k += 1;
+                let at = f.what[len - 1];
+                f.len = len as u32 - 1;
+                f.at = at;
+                nodes[at_node] = i;
+                blocks[at_block] = i;
+                ended[at_end] = i;
+                at_node += usize::from(at & INNER != 0 && at != NOTHING);
+                at_block += usize::from(at & INNER == 0);
+                at_end += usize::from(at == NOTHING);
+            }
+            for &i in &nodes[..at_node] {
+                let f = &mut flights[i as usize];
+                let node = &bvh.nodes[(f.at ^ INNER) as usize];
+                let len = f.len as usize;
+                let (from, to) = (f.search.t_min, f.search.best.t);
+                let (enter, what, n) = level.open_all(node, &f.boxes, from, to);
+                if let (Some(e), Some(w)) =
+                    (f.enter[len..].first_chunk_mut(), f.what[len..].first_chunk_mut())
+                {
+                    (*e, *w) = (enter, what);
+                    f.len += n;
+                } else {
+                    // No room: alone, from the start.
+                    f.search = Search::new(bvh.delta, &self.queries[f.index as usize]);
+                    bvh.alone(level, &mut f.search);
+                    f.len = WIDTH as u32;
+                }
+            }
+            for &i in &blocks[..at_block] {
+                let f = &mut flights[i as usize];
+                let block = f.at & 0x1fff_ffff;
+                let triangles = (f.at >> 29) + 1;
+                f.search.test_block(&bvh.blocks[block as usize], triangles, 4 * block);
+            }
+            for &i in &ended[..at_end] {
+                let f = &mut flights[i as usize];
+                self.answers[f.index as usize] = f.search.answer();
+                if !self.board(&mut next, f) {
+                    let gone = active[..count].iter().position(|&a| a == i).unwrap_or(0);
+                    count -= 1;
+                    active.swap(gone, count);
+                }
             }
         }
     }
 }
 
 impl BvhView<'_> {
-    /// [`BvhView::nearest`] of many queries.
+    /// [`BvhView::nearest`] of many queries; as many answers.
     pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        assert_eq!(queries.len(), answers.len(), "as many answers as queries");
         let bvh = self;
         if let Some(level) = V4::try_new() {
             level.vectorize(Flights { level, bvh, queries, answers });
@@ -103,73 +173,5 @@ impl BvhView<'_> {
         } else {
             Flights { level: Portable, bvh, queries, answers }.call();
         }
-    }
-}
-
-struct Micro<'q, L> {
-    level: L,
-    bvh: &'q BvhView<'q>,
-    queries: &'q [Query],
-    what: u32,
-}
-
-impl<L: Level> NullaryFnOnce for Micro<'_, L> {
-    type Output = f64;
-
-    #[inline(always)]
-    fn call(self) -> f64 {
-        let Self { level, bvh, queries, what } = self;
-        let mut sum = 0u64;
-        let mut stack = Stack::new();
-        let first = queries.iter().find(|q| Search::new(bvh.delta, q).ray.axis == 0).unwrap();
-        let search = Search::new(bvh.delta, first);
-        let boxes = level.boxes(&search.ray);
-        let mut search2 = search;
-        for (i, q) in queries.iter().enumerate() {
-            match what {
-                0 => {
-                    let search = Search::new(bvh.delta, q);
-                    sum += search.ray.shear[0].to_bits() as u64;
-                }
-                1 => {
-                    let search = Search::new(bvh.delta, q);
-                    let boxes = level.boxes(&search.ray);
-                    sum += level.open(&bvh.nodes[0], &boxes, 0.0, 1e9, &mut stack) as u64;
-                    stack.reset();
-                }
-                2 => {
-                    sum += level.open(&bvh.nodes[i % 256], &boxes, 0.0, 1e9, &mut stack) as u64;
-                    stack.reset();
-                }
-                3 => {
-                    let n = level.open(&bvh.nodes[(sum & 255) as usize], &boxes, 0.0, 1e9, &mut stack);
-                    sum = sum.wrapping_mul(3).wrapping_add(n as u64);
-                    stack.reset();
-                }
-                4 => {
-                    search2.test_block::<0>(&bvh.blocks[i % 256], 4, 4 * i as u32);
-                    search2.best.t = 1e9;
-                    sum += search2.best.t as u64;
-                }
-                5 => {
-                    let mut s = Search::new(bvh.delta, q);
-                    s.test_block::<0>(&bvh.blocks[i % 256], 4, 4 * i as u32);
-                    sum += s.best.t as u64;
-                }
-                _ => {
-                    stack.reset();
-                    sum += level.pop(&mut stack, 1.0) as u64;
-                }
-            }
-        }
-        sum as f64
-    }
-}
-
-impl BvhView<'_> {
-    /// x
-    pub fn micro(&self, queries: &[Query], what: u32) -> f64 {
-        let level = V4::try_new().unwrap();
-        level.vectorize(Micro { level, bvh: self, queries, what })
     }
 }

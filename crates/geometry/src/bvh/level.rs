@@ -101,6 +101,19 @@ pub(super) trait Level: Copy {
 
     /// Takes the last entry that begins at `to` or before; those after it go with it.
     fn pop(self, stack: &mut Stack, to: f32) -> u32;
+
+    /// All children whose boxes overlap `[from, to]` on the ray: where they are entered, what they are, and how many,
+    /// in the order of the ray's signs, the first one last.
+    fn open_all(
+        self,
+        node: &BvhNode,
+        ray: &Self::Ray,
+        from: f32,
+        to: f32,
+    ) -> ([f32; WIDTH], [u32; WIDTH], u32);
+
+    /// Which of eight distances are not beyond `to`, a bit each.
+    fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32;
 }
 
 /// A child as an entry.
@@ -198,6 +211,34 @@ impl Level for Portable {
             count += 1;
         }
         stack.take(count)
+    }
+
+    fn open_all(
+        self,
+        node: &BvhNode,
+        ray: &PortableRay,
+        from: f32,
+        to: f32,
+    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
+        let mut stack = Stack { enter: ArrayVec::new(), what: ArrayVec::new() };
+        let first = self.open(node, ray, from, to, &mut stack);
+        let (mut enter, mut what) = ([from; WIDTH], [NOTHING; WIDTH]);
+        let n = stack.enter.len();
+        enter[..n].copy_from_slice(&stack.enter);
+        what[..n].copy_from_slice(&stack.what);
+        if first == NOTHING {
+            return (enter, what, 0);
+        }
+        what[n] = first;
+        (enter, what, n as u32 + 1)
+    }
+
+    fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
+        let mut mask = 0;
+        for (i, e) in enter.iter().enumerate() {
+            mask |= u32::from(*e <= to) << i;
+        }
+        mask
     }
 }
 
@@ -373,6 +414,27 @@ impl Level for V4 {
             stack.take(WIDTH);
         }
     }
+
+    #[inline(always)]
+    fn open_all(
+        self,
+        node: &BvhNode,
+        ray: &VectorRay,
+        from: f32,
+        to: f32,
+    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
+        let (enter, leave) = slabs(*self, node, ray, from, to);
+        let mask = self.avx512f._mm256_cmp_ps_mask::<18>(enter, leave);
+        let what = self.avx512f._mm256_maskz_compress_epi32(mask, entries(*self, node, ray));
+        let enter = self.avx512f._mm256_maskz_compress_epi32(mask, cast(enter));
+        (cast(enter), cast(what), mask.count_ones())
+    }
+
+    #[inline(always)]
+    fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
+        let to = self.avx._mm256_set1_ps(to);
+        self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(cast(*enter), to)) as u32
+    }
 }
 
 /// For each mask, which lanes it keeps, in order.
@@ -443,5 +505,28 @@ impl Level for V3 {
             }
             stack.take(WIDTH);
         }
+    }
+
+    #[inline(always)]
+    fn open_all(
+        self,
+        node: &BvhNode,
+        ray: &VectorRay,
+        from: f32,
+        to: f32,
+    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
+        let (enter, leave) = slabs(self, node, ray, from, to);
+        let mask = self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(enter, leave)) as u32;
+        let lanes = self.sse2._mm_set_epi64x(0, KEPT[(mask & 255) as usize] as i64);
+        let lanes = self.avx2._mm256_cvtepu8_epi32(lanes);
+        let what = self.avx2._mm256_permutevar8x32_epi32(entries(self, node, ray), lanes);
+        let enter = self.avx2._mm256_permutevar8x32_ps(enter, lanes);
+        (cast(enter), cast(what), mask.count_ones())
+    }
+
+    #[inline(always)]
+    fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
+        let to = self.avx._mm256_set1_ps(to);
+        self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(cast(*enter), to)) as u32
     }
 }

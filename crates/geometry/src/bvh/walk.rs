@@ -17,7 +17,7 @@ struct Walk<'q, L> {
 
 impl<L: Level> Walk<'_, L> {
     #[inline(always)]
-    fn along<const Z: usize>(self) {
+    fn along(self) {
         let Self { level, bvh, search } = self;
         let boxes = level.boxes(&search.ray);
         let mut stack = Stack::new();
@@ -35,7 +35,7 @@ impl<L: Level> Walk<'_, L> {
             } else {
                 let block = at & 0x1fff_ffff;
                 let count = (at >> 29) + 1;
-                search.test_block::<Z>(&bvh.blocks[block as usize], count, 4 * block);
+                search.test_block(&bvh.blocks[block as usize], count, 4 * block);
             }
             // What begins at the best distance may hold a smaller index.
             at = level.pop(&mut stack, search.best.t);
@@ -48,11 +48,7 @@ impl<L: Level> NullaryFnOnce for Walk<'_, L> {
 
     #[inline(always)]
     fn call(self) {
-        match self.search.ray.axis {
-            0 => self.along::<0>(),
-            1 => self.along::<1>(),
-            _ => self.along::<2>(),
-        }
+        self.along();
     }
 }
 
@@ -84,18 +80,21 @@ impl BvhView<'_> {
             if let Some(global) = self.global(slot) {
                 let corners = self.corners(slot).map(|p| p.to_array());
                 let [a, b, c] = &corners;
-                match search.ray.axis {
-                    0 => search.test::<0>([a, b, c], global, slot),
-                    1 => search.test::<1>([a, b, c], global, slot),
-                    _ => search.test::<2>([a, b, c], global, slot),
-                }
+                search.test([a, b, c], global, slot);
             }
         }
     }
 
     /// Whether there is anything to walk for. Where boxes cannot be trusted, every triangle is tested here.
+    /// One search to its end.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn alone<L: Level>(&self, level: L, search: &mut Search) {
+        Walk { level, bvh: self, search }.call();
+    }
+
     #[inline(always)]
-    fn is_plain(&self, search: &mut Search) -> bool {
+    pub(super) fn is_plain(&self, search: &mut Search) -> bool {
         if !search.is_sane() {
             return false;
         }

@@ -19,14 +19,10 @@ impl GridView<'_> {
         if !search.is_sane() {
             return None;
         }
-        match search.ray.axis {
-            0 => self.walk::<0>(search),
-            1 => self.walk::<1>(search),
-            _ => self.walk::<2>(search),
-        }
+        self.walk(search)
     }
 
-    fn walk<const Z: usize>(&self, mut search: Search) -> Option<Hit> {
+    fn walk(&self, mut search: Search) -> Option<Hit> {
         let header = self.header;
         let far = FAR * f64::from(header.delta);
         let origin = search.ray.origin.map(f64::from);
@@ -121,7 +117,7 @@ impl GridView<'_> {
                             *mailbox = triangle;
                             let corners = self.mesh.corner_arrays(triangle);
                             let global = self.mesh.global[triangle as usize];
-                            search.test::<Z>(corners, global, triangle);
+                            search.test(corners, global, triangle);
                         }
                         if f64::from(search.best.t) < end {
                             return search.answer();
