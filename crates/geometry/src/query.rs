@@ -3,7 +3,7 @@
 use enf_layout::bvh::LeafBlock;
 use std::hint::select_unpredictable;
 
-use glam::{BVec4A, Vec4};
+use glam::Vec4;
 
 use crate::mesh::TileMesh;
 use crate::ray::{Four, Hit, PreparedRay, Ray, four, intersect_arrays, margin, reach, settle};
@@ -90,8 +90,9 @@ impl Search {
         let beyond = (four.nearest * NEARLY_ONE).cmpgt(Vec4::splat(self.best.t.max(LEAST)));
         let doubts = (four.hit & !kept | four.unsure) & here & !beyond.bitmask();
 
-        // The nearest of the good ones. Whether there is one cannot be foretold: no branch.
-        let t = Vec4::select(lanes(good), four.t, Vec4::splat(f32::INFINITY));
+        // The nearest of the good ones. Whether there is one cannot be foretold: no branch. The larger of a number and
+        // NaN is here the second operand.
+        let t = four.t.max(Vec4::from_array(OTHERS[good as usize & 15]));
         let first = t.min_element();
         let same = good & t.cmpeq(Vec4::splat(first)).bitmask();
         if same & same.wrapping_sub(1) != 0 {
@@ -100,8 +101,8 @@ impl Search {
         let lane = (same.trailing_zeros() & 3) as usize;
         let (u, v) = (four.u.to_array()[lane], four.v.to_array()[lane]);
         let (global, best) = (block.global[lane], self.best);
-        let nearer = first < best.t || (self.found && first == best.t && global < best.global);
-        let nearer = nearer & (good != 0);
+        let tie = self.found & (first == best.t) & (global < best.global);
+        let nearer = ((first < best.t) | tie) & (good != 0);
         self.best = Hit {
             t: select_unpredictable(nearer, first, best.t),
             global: select_unpredictable(nearer, global, best.global),
@@ -152,18 +153,29 @@ impl Search {
 /// Which lanes hold a number, a bit each.
 #[inline(always)]
 fn lanes_of(numbers: &[u32; 4], number: u32) -> u32 {
-    let [a, b, c, d] = *numbers;
-    u32::from(a == number)
-        | u32::from(b == number) << 1
-        | u32::from(c == number) << 2
-        | u32::from(d == number) << 3
+    let mut bits = [1u32, 2, 4, 8];
+    for (bit, n) in bits.iter_mut().zip(numbers) {
+        *bit &= u32::from(*n == number).wrapping_neg();
+    }
+    (bits[0] | bits[1]) | (bits[2] | bits[3])
 }
 
-/// The lanes whose bits are set.
-#[inline(always)]
-fn lanes(bits: u32) -> BVec4A {
-    BVec4A::new(bits & 1 != 0, bits & 2 != 0, bits & 4 != 0, bits & 8 != 0)
-}
+/// For each set of lanes: minus infinity in them, infinity in the others.
+static OTHERS: [[f32; 4]; 16] = {
+    let mut table = [[f32::INFINITY; 4]; 16];
+    let mut bits = 0;
+    while bits < 16 {
+        let mut lane = 0;
+        while lane < 4 {
+            if bits >> lane & 1 != 0 {
+                table[bits][lane] = f32::NEG_INFINITY;
+            }
+            lane += 1;
+        }
+        bits += 1;
+    }
+    table
+};
 
 /// Less than one by more than four roundings.
 const NEARLY_ONE: f32 = 1.0 - 1.0 / (1 << 20) as f32;

@@ -21,20 +21,23 @@ use crate::ray::Hit;
 const FLIGHT: usize = 32;
 /// Entries that each of them has room for; the few that need more go alone.
 const ENTRIES: usize = 120;
+const MASK: usize = FLIGHT - 1;
+const _: () = assert!(FLIGHT.is_power_of_two());
 
-/// A ray under way.
-struct Traveller<R> {
-    boxes: R,
-    search: Search,
+/// The rays under way: what the passes ask of each lies side by side. Indices into it are kept below [`FLIGHT`] by
+/// masks, which cost less than asking.
+struct Flight<R> {
     /// The entry that was taken last.
-    at: u32,
-    /// Entries above the bottom.
-    len: u32,
+    at: [u32; FLIGHT],
+    /// Entries on the stack, those at its bottom included.
+    len: [u32; FLIGHT],
     /// Which query this is.
-    index: u32,
+    index: [u32; FLIGHT],
+    boxes: [R; FLIGHT],
+    search: [Search; FLIGHT],
     /// Where entries begin, and what they are: as a [`super::level::Stack`].
-    enter: [f32; ENTRIES],
-    what: [u32; ENTRIES],
+    enter: [[f32; ENTRIES]; FLIGHT],
+    what: [[u32; ENTRIES]; FLIGHT],
 }
 
 struct Flights<'q, L> {
@@ -45,25 +48,23 @@ struct Flights<'q, L> {
 }
 
 impl<L: Level> Flights<'_, L> {
-    /// The next query that has something to walk for, as a traveller at the root; answers those before it.
+    /// The next query that has something to walk for takes a place at the root; those before it are answered.
     #[inline(always)]
-    fn board(&mut self, next: &mut usize, traveller: &mut Traveller<L::Ray>) -> bool {
+    fn board(&mut self, next: &mut usize, flight: &mut Flight<L::Ray>, place: usize) -> bool {
         while let Some(query) = self.queries.get(*next) {
             let index = *next;
             *next += 1;
-            traveller.search = Search::new(self.bvh.delta, query);
-            if self.bvh.is_plain(&mut traveller.search) {
-                traveller.boxes = self.level.boxes(&traveller.search.ray);
-                traveller.index = index as u32;
-                traveller.enter[..WIDTH].copy_from_slice(&[f32::INFINITY; WIDTH]);
-                traveller.enter[WIDTH - 1] = f32::NEG_INFINITY;
-                traveller.what[WIDTH - 1] = NOTHING;
-                traveller.enter[WIDTH] = f32::NEG_INFINITY;
-                traveller.what[WIDTH] = INNER;
-                traveller.len = WIDTH as u32 + 1;
+            let search = &mut flight.search[place & MASK];
+            *search = Search::new(self.bvh.delta, query);
+            if self.bvh.is_plain(search) {
+                flight.boxes[place & MASK] = self.level.boxes(&search.ray);
+                flight.index[place & MASK] = index as u32;
+                flight.enter[place & MASK][WIDTH] = f32::NEG_INFINITY;
+                flight.what[place & MASK][WIDTH] = INNER;
+                flight.len[place & MASK] = WIDTH as u32 + 1;
                 return true;
             }
-            self.answers[index] = traveller.search.answer();
+            self.answers[index] = search.answer();
         }
         false
     }
@@ -76,83 +77,103 @@ impl<L: Level> NullaryFnOnce for Flights<'_, L> {
     fn call(mut self) {
         let (level, bvh) = (self.level, self.bvh);
         let mut next = 0;
-        let mut flights: Vec<Traveller<L::Ray>> = Vec::with_capacity(FLIGHT);
         let Some(first) = self.queries.first() else { return };
         let idle = Search::new(bvh.delta, first);
-        while flights.len() < FLIGHT {
-            let mut traveller = Traveller {
-                boxes: level.boxes(&idle.ray),
-                search: idle,
-                at: NOTHING,
-                len: 0,
-                index: 0,
-                enter: [0.0; ENTRIES],
-                what: [0; ENTRIES],
-            };
-            if !self.board(&mut next, &mut traveller) {
-                break;
-            }
-            flights.push(traveller);
-        }
+        let mut flight = Box::new(Flight {
+            at: [NOTHING; FLIGHT],
+            len: [0; FLIGHT],
+            index: [0; FLIGHT],
+            boxes: [level.boxes(&idle.ray); FLIGHT],
+            search: [idle; FLIGHT],
+            enter: [[f32::INFINITY; ENTRIES]; FLIGHT],
+            what: [[NOTHING; ENTRIES]; FLIGHT],
+        });
         let mut active = [0u32; FLIGHT];
-        let mut count = flights.len();
-        for (i, a) in active.iter_mut().enumerate() {
-            *a = i as u32;
+        let mut count = 0;
+        while count < FLIGHT && self.board(&mut next, &mut flight, count) {
+            flight.enter[count][WIDTH - 1] = f32::NEG_INFINITY;
+            active[count] = count as u32;
+            count += 1;
         }
         let (mut nodes, mut blocks, mut ended) = ([0u32; FLIGHT], [0u32; FLIGHT], [0u32; FLIGHT]);
         while count > 0 {
-            let (mut at_node, mut at_block, mut at_end) = (0, 0, 0);
-            for &i in &active[..count] {
-                let f = &mut flights[i as usize];
-                let mut len = f.len as usize;
+            let flight = &mut *flight;
+            // Who goes where.
+            let (mut at_node, mut at_block, mut at_end) = (0usize, 0usize, 0usize);
+            for &place in &active[..count] {
+                let i = place as usize & MASK;
+                let enter = &flight.enter[i];
+                let to = flight.search[i].best.t;
+                let mut len = flight.len[i] as usize;
                 loop {
-                    let Some(top) = f.enter[..len].last_chunk::<WIDTH>() else { break };
-                    let open = level.begun(top, f.search.best.t);
+                    let last = (len - WIDTH).min(ENTRIES - WIDTH);
+                    let Some(top) = enter[last..].first_chunk() else { break };
+                    let open = level.begun(top, to);
                     // The topmost is the highest bit; without any, all eight go.
                     len -= (open << 24 | 0x80_0000).leading_zeros() as usize;
                     if open != 0 {
                         break;
                     }
                 }
-                let at = f.what[len - 1];
-                f.len = len as u32 - 1;
-                f.at = at;
-                nodes[at_node] = i;
-                blocks[at_block] = i;
-                ended[at_end] = i;
-                at_node += usize::from(at & INNER != 0 && at != NOTHING);
-                at_block += usize::from(at & INNER == 0);
-                at_end += usize::from(at == NOTHING);
+                let top = (len - 1).min(ENTRIES - 1);
+                let at = flight.what[i][top];
+                flight.len[i] = top as u32;
+                flight.at[i] = at;
+                nodes[at_node & MASK] = place;
+                blocks[at_block & MASK] = place;
+                ended[at_end & MASK] = place;
+                let (inner, end) = ((at >> 31) as usize, usize::from(at == NOTHING));
+                at_node += inner - end;
+                at_block += 1 - inner;
+                at_end += end;
             }
-            for &i in &nodes[..at_node] {
-                let f = &mut flights[i as usize];
-                let node = &bvh.nodes[(f.at ^ INNER) as usize];
-                let len = f.len as usize;
-                let (from, to) = (f.search.t_min, f.search.best.t);
-                let (enter, what, n) = level.open_all(node, &f.boxes, from, to);
-                if let (Some(e), Some(w)) =
-                    (f.enter[len..].first_chunk_mut(), f.what[len..].first_chunk_mut())
-                {
-                    (*e, *w) = (enter, what);
-                    f.len += n;
-                } else {
+            let (nodes, blocks) = (&nodes[..at_node], &blocks[..at_block]);
+
+            // Asks for what the passes below will want, all at once: memory answers many as fast as one.
+            let mut touched = 0;
+            for &place in nodes {
+                let node = &bvh.nodes[(flight.at[place as usize & MASK] ^ INNER) as usize];
+                touched ^= node.origin[0].to_bits() ^ node.used;
+            }
+            for &place in blocks {
+                let block = flight.at[place as usize & MASK] & 0x1fff_ffff;
+                let block = &bvh.blocks[block as usize];
+                touched ^= block.corners[0][0][0].to_bits() ^ block.corners[1][1][0].to_bits();
+                touched ^= block.corners[2][2][0].to_bits() ^ block.material[3];
+            }
+            std::hint::black_box(touched);
+
+            for &place in nodes {
+                let i = place as usize & MASK;
+                let node = &bvh.nodes[(flight.at[i] ^ INNER) as usize];
+                let len = flight.len[i] as usize;
+                let search = &flight.search[i];
+                let (from, to) = (search.t_min, search.best.t);
+                let (enter, what, n) = level.open_all(node, &flight.boxes[i], from, to);
+                if len > ENTRIES - WIDTH {
                     // No room: alone, from the start.
-                    f.search = Search::new(bvh.delta, &self.queries[f.index as usize]);
-                    bvh.alone(level, &mut f.search);
-                    f.len = WIDTH as u32;
+                    let query = &self.queries[flight.index[i] as usize];
+                    flight.search[i] = Search::new(bvh.delta, query);
+                    bvh.alone(level, &mut flight.search[i]);
+                    flight.len[i] = WIDTH as u32;
+                    continue;
                 }
+                flight.enter[i][len..len + WIDTH].copy_from_slice(&enter);
+                flight.what[i][len..len + WIDTH].copy_from_slice(&what);
+                flight.len[i] = len as u32 + n;
             }
-            for &i in &blocks[..at_block] {
-                let f = &mut flights[i as usize];
-                let block = f.at & 0x1fff_ffff;
-                let triangles = (f.at >> 29) + 1;
-                f.search.test_block(&bvh.blocks[block as usize], triangles, 4 * block);
+            for &place in blocks {
+                let i = place as usize & MASK;
+                let at = flight.at[i];
+                let block = at & 0x1fff_ffff;
+                let triangles = (at >> 29) + 1;
+                flight.search[i].test_block(&bvh.blocks[block as usize], triangles, 4 * block);
             }
-            for &i in &ended[..at_end] {
-                let f = &mut flights[i as usize];
-                self.answers[f.index as usize] = f.search.answer();
-                if !self.board(&mut next, f) {
-                    let gone = active[..count].iter().position(|&a| a == i).unwrap_or(0);
+            for &place in &ended[..at_end] {
+                let i = place as usize & MASK;
+                self.answers[flight.index[i] as usize] = flight.search[i].answer();
+                if !self.board(&mut next, flight, i) {
+                    let gone = active[..count].iter().position(|&a| a == place).unwrap_or(0);
                     count -= 1;
                     active.swap(gone, count);
                 }
