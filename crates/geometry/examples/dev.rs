@@ -6,7 +6,8 @@
 use std::time::Instant;
 
 use enf_geometry::{
-    BvhView, GridView, NONE, Query, Ray, TileMesh, build_bvh, complete_bvh, build_grid, grid_bytes_estimate,
+    BvhView, GridView, NONE, Query, Ray, TileMesh, build_bvh, build_grid, complete_bvh,
+    grid_bytes_estimate,
 };
 use enf_layout::codec;
 use glam::Vec3;
@@ -154,7 +155,8 @@ fn main() {
 
     // Walks of photons, written down.
     let mut walks: Vec<(Ray, u32)> = Vec::with_capacity(rays);
-    let bb = mesh.bounds(); let mid = 0.5 * (bb.min + bb.max);
+    let bb = mesh.bounds();
+    let mid = 0.5 * (bb.min + bb.max);
     let mut origin = mid;
     let mut last = NONE;
     let directions: Vec<Vec3> = (0..1 << 16).map(|_| random.direction()).collect();
@@ -183,25 +185,45 @@ fn main() {
     let ways: [(&str, Nearest<'_>); 3] = [
         ("grid", &|q| grid.nearest(q)),
         ("hierarchy", &|q| bvh.nearest(q)),
-        ("hierarchy, portable", &|q| {
-            bvh.nearest_portable(q)
-        }),
+        ("hierarchy, portable", &|q| bvh.nearest_portable(q)),
     ];
-    let queries: Vec<Query> = walks.iter().map(|(r, l)| Query { ray: *r, t_min: 0.0, t_max: f32::INFINITY, exclude: *l }).collect();
-    if std::env::var("M4").is_ok() { return; }
+    let queries: Vec<Query> = walks
+        .iter()
+        .map(|(r, l)| Query { ray: *r, t_min: 0.0, t_max: f32::INFINITY, exclude: *l })
+        .collect();
+    if std::env::var("M4").is_ok() {
+        return;
+    }
     let mut answers = vec![None; queries.len()];
     for n in [1usize, 4, 16, 64, 256, 1024, 16384] {
         let some: Vec<Query> = queries.iter().skip(1000).cycle().take(n).cloned().collect();
         let s = Instant::now();
         let mut c = 0;
-        for _ in 0..200000 / n { for q in &some { c += bvh.nearest(q).is_some() as usize; } }
+        for _ in 0..200000 / n {
+            for q in &some {
+                c += bvh.nearest(q).is_some() as usize;
+            }
+        }
         println!("same {n}: {:.1} ns", s.elapsed().as_secs_f64() * 1e9 / c as f64);
     }
- let mut bt = vec![];
-    for _ in 0..9 { let s = Instant::now(); for (q, a) in queries.chunks(10000).zip(answers.chunks_mut(10000)) { bvh.nearest_batch(q, a); } bt.push(s.elapsed().as_secs_f64()); }
+    let mut bt = vec![];
+    for _ in 0..9 {
+        let s = Instant::now();
+        for (q, a) in queries.chunks(10000).zip(answers.chunks_mut(10000)) {
+            bvh.nearest_batch(q, a);
+        }
+        bt.push(s.elapsed().as_secs_f64());
+    }
     bt.sort_by(f64::total_cmp);
-     println!("batch: {:.2} M rays/s, {:.1} ns, best {:.2}", rays as f64 / bt[4] / 1e6, bt[4] / rays as f64 * 1e9, rays as f64 / bt[0] / 1e6);
-    for (q, a) in queries.iter().zip(&answers) { assert_eq!(bvh.nearest(q), *a); }
+    println!(
+        "batch: {:.2} M rays/s, {:.1} ns, best {:.2}",
+        rays as f64 / bt[4] / 1e6,
+        bt[4] / rays as f64 * 1e9,
+        rays as f64 / bt[0] / 1e6
+    );
+    for (q, a) in queries.iter().zip(&answers) {
+        assert_eq!(bvh.nearest(q), *a);
+    }
     // In turn, so that what else the machine does falls on all of them; medians.
     let mut times = [const { Vec::new() }; 3];
     let mut sums = [0.0f64; 3];
@@ -210,7 +232,9 @@ fn main() {
             let start = Instant::now();
             let mut length = 0.0;
             for (ray, last) in &walks {
-                if let Some(hit) = nearest(&Query { ray: *ray, t_min: 0.0, t_max: f32::INFINITY, exclude: *last }) {
+                if let Some(hit) =
+                    nearest(&Query { ray: *ray, t_min: 0.0, t_max: f32::INFINITY, exclude: *last })
+                {
                     length += f64::from(hit.t);
                 }
             }

@@ -189,4 +189,3 @@ pub fn nearest_by_force(mesh: &TileMesh<'_>, delta: f32, query: &Query) -> Optio
     search.by_force(mesh);
     search.answer()
 }
-

@@ -236,11 +236,7 @@ pub(crate) fn four(ray: &PreparedRay, corners: &[[[f32; 4]; 3]; 3]) -> Four {
 
 /// A corner of four triangles relative to the ray's origin, axes turned.
 #[inline(always)]
-fn seen(
-    corner: &[[f32; 4]; 3],
-    (x, y, z): (usize, usize, usize),
-    origin: [f32; 3],
-) -> [Vec4; 3] {
+fn seen(corner: &[[f32; 4]; 3], (x, y, z): (usize, usize, usize), origin: [f32; 3]) -> [Vec4; 3] {
     [
         Vec4::from_array(corner[x]) - Vec4::splat(origin[0]),
         Vec4::from_array(corner[y]) - Vec4::splat(origin[1]),
@@ -337,11 +333,7 @@ fn at_weights(
 /// A hit that broke the margin in `f32`, computed again.
 #[cold]
 #[inline(never)]
-fn repair(
-    ray: &PreparedRay,
-    corners: &[[f64; 3]; 3],
-    delta: f32,
-) -> Option<(f32, f32, f32)> {
+fn repair(ray: &PreparedRay, corners: &[[f64; 3]; 3], delta: f32) -> Option<(f32, f32, f32)> {
     let d = ray.direction.map(f64::from);
     let (x, y, z) = ray.axes();
     let shear = [d[x] / d[z], d[y] / d[z]];

@@ -87,6 +87,18 @@ impl<'a> Structure<'a> {
         }
     }
 
+    /// [`Structure::nearest`] of many queries at once, for as many answers: the same, sooner.
+    pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        match self {
+            Self::Grid(grid) => {
+                for (query, answer) in queries.iter().zip(answers) {
+                    *answer = grid.nearest(query);
+                }
+            }
+            Self::Bvh(bvh) => bvh.nearest_batch(queries, answers),
+        }
+    }
+
     /// Corners of the triangle of a hit of this structure, m; by [`Hit::slot`].
     pub fn corners(&self, slot: u32) -> [Vec3; 3] {
         match self {

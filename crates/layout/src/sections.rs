@@ -155,7 +155,10 @@ where
 {
     let table = table(blob)?;
     let (Some(a), Some(b)) = (table.get(first), table.get(second)) else {
-        return Err(Malformed(format!("section {first} or {second} of {} is missing", table.len())));
+        return Err(Malformed(format!(
+            "section {first} or {second} of {} is missing",
+            table.len()
+        )));
     };
     if b.offset < a.offset + a.bytes {
         return Err(Malformed(format!("section {second} lies before section {first}")));

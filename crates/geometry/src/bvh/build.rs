@@ -2,7 +2,10 @@
 //! volume hierarchies*), then eight children to a node by opening the largest (Wald, Benthin and Boulos 2008).
 
 use arrayvec::ArrayVec;
-use enf_layout::bvh::{BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS, SECTION_REFERENCES, WIDTH};
+use enf_layout::bvh::{
+    BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE,
+    SECTION_BLOCKS, SECTION_REFERENCES, WIDTH,
+};
 use enf_layout::sections::{self, Malformed, Transform};
 use glam::Vec3;
 use zerocopy::IntoBytes;
@@ -95,7 +98,11 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     sections::build(&[
         (header.as_bytes(), Transform::None, 1),
         (wide.nodes.as_bytes(), Transform::Delta, (size_of::<BvhNode>() / 4) as u32),
-        (&vec![0; wide.references.len() / LEAF_TRIANGLES * size_of::<LeafBlock>()], Transform::None, 1),
+        (
+            &vec![0; wide.references.len() / LEAF_TRIANGLES * size_of::<LeafBlock>()],
+            Transform::None,
+            1,
+        ),
         (wide.references.as_bytes(), Transform::Delta, 1),
     ])
 }
@@ -141,7 +148,11 @@ pub fn complete_bvh(blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malforme
 /// The corners of a triangle; not a number if it has no area, as nothing hits that.
 pub(super) fn seen_by_rays(mesh: &TileMesh<'_>, triangle: u32) -> [[f32; 3]; 3] {
     let corners = mesh.corner_arrays(triangle);
-    if has_no_area(&corners.map(|p| p.map(f64::from))) { [[f32::NAN; 3]; 3] } else { corners.map(|p| *p) }
+    if has_no_area(&corners.map(|p| p.map(f64::from))) {
+        [[f32::NAN; 3]; 3]
+    } else {
+        corners.map(|p| *p)
+    }
 }
 
 struct Job {
@@ -368,7 +379,8 @@ impl Wide<'_> {
         let mut left: ArrayVec<u32, WIDTH> = children.iter().copied().collect();
         while !left.is_empty() {
             // (gain, child, slot): the best pair that is still free.
-            let mut best = (f32::NEG_INFINITY, 0, slots.iter().position(Option::is_none).unwrap_or(0));
+            let mut best =
+                (f32::NEG_INFINITY, 0, slots.iter().position(Option::is_none).unwrap_or(0));
             for (i, &c) in left.iter().enumerate() {
                 let d = centre(c) - middle;
                 for (s, slot) in slots.iter().enumerate() {
@@ -437,7 +449,8 @@ impl Wide<'_> {
             first += 1;
             let mine = &self.items[b.at as usize..(b.at + b.count) as usize];
             self.references.extend(mine.iter().map(|item| item.triangle));
-            self.references.resize(self.references.len().next_multiple_of(LEAF_TRIANGLES), NO_TRIANGLE);
+            self.references
+                .resize(self.references.len().next_multiple_of(LEAF_TRIANGLES), NO_TRIANGLE);
         }
         node
     }

@@ -44,13 +44,6 @@ impl Stack {
         stack
     }
 
-    #[inline(always)]
-    pub(super) fn reset(&mut self) {
-        self.enter.clear();
-        self.what.clear();
-        self.push(BOTTOM, [NOTHING; WIDTH], WIDTH);
-    }
-
     /// The first `count` of eight entries.
     #[inline(always)]
     fn push(&mut self, enter: [f32; WIDTH], what: [u32; WIDTH], count: usize) {
@@ -90,14 +83,7 @@ pub(super) trait Level: Copy {
 
     /// Which children's boxes overlap `[from, to]` on the ray: the first one in the order of its signs is the answer, or
     /// [`NOTHING`]; the others go to the stack.
-    fn open(
-        self,
-        node: &BvhNode,
-        ray: &Self::Ray,
-        from: f32,
-        to: f32,
-        stack: &mut Stack,
-    ) -> u32;
+    fn open(self, node: &BvhNode, ray: &Self::Ray, from: f32, to: f32, stack: &mut Stack) -> u32;
 
     /// Takes the last entry that begins at `to` or before; those after it go with it.
     fn pop(self, stack: &mut Stack, to: f32) -> u32;
@@ -160,14 +146,7 @@ impl Level for Portable {
     }
 
     #[inline(always)]
-    fn open(
-        self,
-        node: &BvhNode,
-        ray: &PortableRay,
-        from: f32,
-        to: f32,
-        stack: &mut Stack,
-    ) -> u32 {
+    fn open(self, node: &BvhNode, ray: &PortableRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
         let (mut enter, mut leave) = ([from; WIDTH], [to; WIDTH]);
         for axis in 0..3 {
             let pace = node.step[axis] * ray.inverse[axis];
@@ -258,7 +237,8 @@ fn vector_ray(simd: V3, ray: &PreparedRay) -> VectorRay {
     let [x, y, z] = ray.origin;
     let [u, v, w] = inverse(ray);
     let backward = [u < 0.0, v < 0.0, w < 0.0];
-    let signs = usize::from(backward[0]) | usize::from(backward[1]) << 1 | usize::from(backward[2]) << 2;
+    let signs =
+        usize::from(backward[0]) | usize::from(backward[1]) << 1 | usize::from(backward[2]) << 2;
     VectorRay {
         origin: simd.sse._mm_setr_ps(x, y, z, 0.0),
         inverse: simd.sse._mm_setr_ps(u, v, w, 0.0),
@@ -326,14 +306,20 @@ fn slabs(simd: V3, node: &BvhNode, ray: &VectorRay, from: f32, to: f32) -> (__m2
     let (py, by) = (lane::<0x55>(simd, pace), lane::<0x55>(simd, base));
     let (pz, bz) = (lane::<0xaa>(simd, pace), lane::<0xaa>(simd, base));
     let q = bytes(0);
-    let (near_x, far_x) =
-        (ends(simd, q, cast(ray.order.near[0]), px, bx), ends(simd, q, cast(ray.order.far[0]), px, bx));
+    let (near_x, far_x) = (
+        ends(simd, q, cast(ray.order.near[0]), px, bx),
+        ends(simd, q, cast(ray.order.far[0]), px, bx),
+    );
     let q = bytes(1);
-    let (near_y, far_y) =
-        (ends(simd, q, cast(ray.order.near[1]), py, by), ends(simd, q, cast(ray.order.far[1]), py, by));
+    let (near_y, far_y) = (
+        ends(simd, q, cast(ray.order.near[1]), py, by),
+        ends(simd, q, cast(ray.order.far[1]), py, by),
+    );
     let q = bytes(2);
-    let (near_z, far_z) =
-        (ends(simd, q, cast(ray.order.near[2]), pz, bz), ends(simd, q, cast(ray.order.far[2]), pz, bz));
+    let (near_z, far_z) = (
+        ends(simd, q, cast(ray.order.near[2]), pz, bz),
+        ends(simd, q, cast(ray.order.far[2]), pz, bz),
+    );
     // The second operand where either is NaN.
     let (from, to) = (avx._mm256_set1_ps(from), avx._mm256_set1_ps(to));
     let (enter_x, leave_x) = (avx._mm256_max_ps(near_x, from), avx._mm256_min_ps(far_x, to));
@@ -377,14 +363,7 @@ impl Level for V4 {
     }
 
     #[inline(always)]
-    fn open(
-        self,
-        node: &BvhNode,
-        ray: &VectorRay,
-        from: f32,
-        to: f32,
-        stack: &mut Stack,
-    ) -> u32 {
+    fn open(self, node: &BvhNode, ray: &VectorRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
         let (enter, leave) = slabs(*self, node, ray, from, to);
         // 18: less or equal, quiet, false for NaN.
         let mask = self.avx512f._mm256_cmp_ps_mask::<18>(enter, leave);
@@ -466,14 +445,7 @@ impl Level for V3 {
     }
 
     #[inline(always)]
-    fn open(
-        self,
-        node: &BvhNode,
-        ray: &VectorRay,
-        from: f32,
-        to: f32,
-        stack: &mut Stack,
-    ) -> u32 {
+    fn open(self, node: &BvhNode, ray: &VectorRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
         let (avx, avx2) = (self.avx, self.avx2);
         let (enter, leave) = slabs(self, node, ray, from, to);
         let overlap = avx._mm256_cmp_ps::<18>(enter, leave);

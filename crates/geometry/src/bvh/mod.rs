@@ -15,11 +15,12 @@ mod build;
 mod level;
 mod walk;
 
-pub use build::{build_bvh, complete_bvh, bvh_build_bytes, bvh_bytes_estimate};
+pub use build::{build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh};
 pub use enf_layout::bvh::{BvhHeader, BvhNode};
 
 use enf_layout::bvh::{
-    CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS, SECTION_HEADER, SECTION_NODES, SECTION_REFERENCES,
+    CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS,
+    SECTION_HEADER, SECTION_NODES, SECTION_REFERENCES, WIDTH,
 };
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
@@ -108,6 +109,10 @@ impl<'a> BvhView<'a> {
                     return Err(format!("hierarchy node {i} is not sure about child {slot}"));
                 }
                 if child == CHILD_NONE {
+                    let empty = |b: &[u8; 2 * WIDTH]| (b[slot], b[slot + WIDTH]) == (255, 0);
+                    if !node.bounds.iter().all(empty) {
+                        return Err(format!("hierarchy node {i} has a box for no child {slot}"));
+                    }
                     continue;
                 }
                 if child & CHILD_INNER != 0 {
@@ -128,7 +133,9 @@ impl<'a> BvhView<'a> {
                     return Err(format!("hierarchy node {i} has a block {block}"));
                 };
                 if lanes[..=last as usize].contains(&NO_TRIANGLE) {
-                    return Err(format!("hierarchy block {block} has fewer triangles than node {i} says"));
+                    return Err(format!(
+                        "hierarchy block {block} has fewer triangles than node {i} says"
+                    ));
                 }
             }
         }

@@ -4,8 +4,8 @@ use pulp::NullaryFnOnce;
 #[cfg(target_arch = "x86_64")]
 use pulp::x86::{V3, V4};
 
-use super::{BvhHeader, BvhView};
 use super::level::{INNER, Level, NOTHING, Portable, Stack};
+use super::{BvhHeader, BvhView};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
@@ -107,10 +107,19 @@ impl BvhView<'_> {
     }
 }
 
-/// Origins may have coordinates up to this. Nothing may, where the mesh itself is larger than its tolerance says.
+/// Larger scenes than this are beyond what the boxes' arithmetic can express, m.
+const LARGEST: f32 = 1e9;
+
+/// Origins may have coordinates up to this, four scenes. None may, where the mesh itself is larger than its tolerance
+/// says.
+///
+/// Within it, nothing that the slab test computes is infinite or NaN; and as boxes are grown by four tolerances, a
+/// node's frame is wide enough to be seen from everywhere: a child that is nothing, whose ends are exchanged, is
+/// never entered.
 pub(super) fn reach(header: &BvhHeader, delta: f32) -> f32 {
     let scene = crate::ray::reach(delta);
-    if header.min.iter().chain(&header.max).all(|x| x.abs() <= scene) { 4.0 * scene } else { -1.0 }
+    let within = scene <= LARGEST && header.min.iter().chain(&header.max).all(|x| x.abs() <= scene);
+    if within && delta > 0.0 { 4.0 * scene } else { -1.0 }
 }
 
 /// Walks with the best instructions that the machine has.
