@@ -29,16 +29,18 @@ fn main() -> ExitCode {
         None => Some(otherwise),
         Some(text) => text.parse().ok().filter(|n: &f64| (0.0..=1e15).contains(n)),
     };
-    let (Some(rays), Some(seed), true) = (number(0, 1e7), number(1, 1.0), arguments.len() < 3) else {
-        eprintln!("leaks: how many rays (1e7), and a seed (1); numbers up to 1e15, not {arguments:?}");
+    let (Some(rays), Some(seed), true) = (number(0, 1e7), number(1, 1.0), arguments.len() < 3)
+    else {
+        eprintln!(
+            "leaks: how many rays (1e7), and a seed (1); numbers up to 1e15, not {arguments:?}"
+        );
         return ExitCode::from(2);
     };
     let batches = (rays as u64).div_ceil(BATCH);
     let seed = Random(seed as u64).bits();
 
     let surfaces = surfaces();
-    let blobs: Vec<Blobs> =
-        surfaces.iter().map(|s| Blobs::new(&s.triangles, s.delta)).collect();
+    let blobs: Vec<Blobs> = surfaces.iter().map(|s| Blobs::new(&s.triangles, s.delta)).collect();
     let places: Vec<(&Closed, Tile<'_>)> =
         surfaces.iter().zip(blobs.iter().map(Blobs::tile)).collect();
 
@@ -77,7 +79,8 @@ fn main() -> ExitCode {
             std::thread::sleep(Duration::from_millis(20));
             if last.elapsed() > Duration::from_secs(2) {
                 last = Instant::now();
-                let (done, s) = (done.load(Ordering::Relaxed) as f64, start.elapsed().as_secs_f64());
+                let (done, s) =
+                    (done.load(Ordering::Relaxed) as f64, start.elapsed().as_secs_f64());
                 eprint!("\r{:.3e} of {:.3e} rays, {:.2} M/s ", done, rays, done / s / 1e6);
                 let _ = std::io::stderr().flush();
             }

@@ -28,7 +28,9 @@ pub mod ray;
 pub mod structure;
 
 pub use aabb::Aabb;
-pub use bvh::{BvhHeader, BvhView, build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh};
+pub use bvh::{
+    BvhHeader, BvhView, Instructions, build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh,
+};
 pub use enf_layout::{NONE, sections::Malformed};
 pub use grid::{GridHeader, GridView, build_grid, grid_build_bytes, grid_bytes_estimate};
 pub use mesh::TileMesh;

@@ -87,6 +87,26 @@ impl<'a> Structure<'a> {
         }
     }
 
+    /// Whether the query admits any hit.
+    pub fn occluded(&self, query: &Query) -> bool {
+        match self {
+            Self::Grid(grid) => grid.occluded(query),
+            Self::Bvh(bvh) => bvh.occluded(query),
+        }
+    }
+
+    /// [`Structure::occluded`] of many queries at once, for as many answers: the same, sooner.
+    pub fn occluded_batch(&self, queries: &[Query], answers: &mut [bool]) {
+        match self {
+            Self::Grid(grid) => {
+                for (query, answer) in queries.iter().zip(answers) {
+                    *answer = grid.occluded(query);
+                }
+            }
+            Self::Bvh(bvh) => bvh.occluded_batch(queries, answers),
+        }
+    }
+
     /// [`Structure::nearest`] of many queries at once, for as many answers: the same, sooner.
     pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
         match self {

@@ -38,7 +38,9 @@ impl Scene {
             common::ray(random, &self.triangles, self.size)
         } else {
             let near: Vec<Corners> = (0..1)
-                .map(|_| self.triangles[random.below(self.triangles.len())].map(|p| p - self.centre))
+                .map(|_| {
+                    self.triangles[random.below(self.triangles.len())].map(|p| p - self.centre)
+                })
                 .collect();
             let ray = common::ray(random, &near, self.size);
             Ray { origin: ray.origin + self.centre, direction: ray.direction }
@@ -73,7 +75,11 @@ impl Scene {
                     let hit: &enf_geometry::Hit = hit;
                     query = Query { t_min: hit.t, exclude: hit.global, ..*previous };
                 }
-                let truth = if force { tile.by_force(&query) } else { tile.bvh.nearest_portable(&query) };
+                let truth = if force {
+                    tile.by_force(&query)
+                } else {
+                    tile.bvh.nearest_with(Instructions::Portable, &query)
+                };
                 tile.check(&query, truth);
                 if let Some(hit) = truth {
                     sum.hits += 1;
@@ -91,10 +97,11 @@ impl Scene {
 
 /// Meshes that are small enough to test all their triangles.
 fn small() -> Vec<Scene> {
-    let mut scenes: Vec<Scene> = [(1, 1, 1.0), (2, 7, 0.01), (3, 60, 30.0), (4, 120, 4.0), (5, 200, 900.0)]
-        .into_iter()
-        .map(|(seed, count, size)| Scene::zoo(seed, count, size))
-        .collect();
+    let mut scenes: Vec<Scene> =
+        [(1, 1, 1.0), (2, 7, 0.01), (3, 60, 30.0), (4, 120, 4.0), (5, 200, 900.0)]
+            .into_iter()
+            .map(|(seed, count, size)| Scene::zoo(seed, count, size))
+            .collect();
     for surface in surfaces().into_iter().filter(|s| s.name == "octahedron") {
         scenes.push(Scene::new(surface.triangles, surface.delta, 4.0, Vec3::ZERO));
     }
@@ -104,8 +111,9 @@ fn small() -> Vec<Scene> {
     let plane = common::zoo(&mut random, 80, 2.0).into_iter().map(|t| t.map(flat)).collect();
     scenes.push(Scene::new(plane, common::delta(2.0), 2.0, Vec3::ZERO));
     let lattice = |random: &mut Random| (4.0 * random.cube()).round();
-    let triangles =
-        (0..100).map(|_| [lattice(&mut random), lattice(&mut random), lattice(&mut random)]).collect();
+    let triangles = (0..100)
+        .map(|_| [lattice(&mut random), lattice(&mut random), lattice(&mut random)])
+        .collect();
     scenes.push(Scene::new(triangles, common::delta(4.0), 4.0, Vec3::ZERO));
     let one = [0, 1, 2].map(|_| random.cube());
     scenes.push(Scene::new(vec![one; 60], common::delta(1.0), 1.0, Vec3::ZERO));
@@ -118,7 +126,8 @@ fn large() -> Vec<Scene> {
         let mut triangles = surface.triangles;
         let size = surface.half.max_element();
         // Furniture, of which little can be seen.
-        let zoo = common::zoo(&mut Random(9), triangles.len() / 2, 0.5 * surface.half.min_element());
+        let zoo =
+            common::zoo(&mut Random(9), triangles.len() / 2, 0.5 * surface.half.min_element());
         triangles.extend(zoo.into_iter().map(|t| t.map(|p| p + surface.centre)));
         scenes.push(Scene::new(triangles, surface.delta, 2.0 * size, surface.centre));
     }
@@ -154,9 +163,13 @@ fn large_meshes_give_the_same_bits_in_all_ways() {
 #[test]
 #[ignore = "takes minutes"]
 fn heavy_ten_million_queries_give_the_same_bits() {
-    let count = std::env::var("ENFILADE_QUERIES").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000_000);
-    let scenes: Vec<(Scene, bool)> =
-        small().into_iter().map(|s| (s, true)).chain(large().into_iter().map(|s| (s, false))).collect();
+    let count =
+        std::env::var("ENFILADE_QUERIES").ok().and_then(|n| n.parse().ok()).unwrap_or(10_000_000);
+    let scenes: Vec<(Scene, bool)> = small()
+        .into_iter()
+        .map(|s| (s, true))
+        .chain(large().into_iter().map(|s| (s, false)))
+        .collect();
     const EACH: usize = 20_000;
     let jobs = count / EACH;
     let next = std::sync::atomic::AtomicUsize::new(0);

@@ -158,7 +158,8 @@ fn hard(random: &mut Random, s: f32) -> (usize, Ray, Corners) {
         6 => {
             let far = random.cube().map(|x| if x < 0.0 { -s } else { s });
             let size = small(random, 22.0) * s;
-            t = [0, 1, 2].map(|_| inside(far - size * far / s * random.unit() + size * random.cube()));
+            t = [0, 1, 2]
+                .map(|_| inside(far - size * far / s * random.unit() + size * random.cube()));
             origin = -far;
         }
         7 => {
@@ -219,7 +220,9 @@ fn every_hit_within_the_bound_keeps_the_margin_and_no_other_triangle_is_hit() {
             plain_off += usize::from(gap(&ray, t, found) > 100.0 * f64::from(delta));
         }
     }
-    println!("{KINDS:?}\ncases {cases:?}\nhits {hits:?}\noff by, at most {widest:?}\nplain f32 far off: {plain_off}");
+    println!(
+        "{KINDS:?}\ncases {cases:?}\nhits {hits:?}\noff by, at most {widest:?}\nplain f32 far off: {plain_off}"
+    );
     for (kind, &n) in hits.iter().enumerate() {
         assert!(n > 20_000, "{}: {n} hits of {}", KINDS[kind], cases[kind]);
     }
@@ -264,7 +267,10 @@ fn triangles_beyond_the_bound_keep_the_margin_too() {
         if let Some(found) = intersect(&PreparedRay::new(&ray), t[0], t[1], t[2], delta) {
             hits += 1;
             let off = gap(&ray, t, found) / f64::from(delta);
-            assert!(off <= 1.0 + SLACK * 2f64.powi(i % 12), "off by {off}: {ray:?} {t:?} {found:?}");
+            assert!(
+                off <= 1.0 + SLACK * 2f64.powi(i % 12),
+                "off by {off}: {ray:?} {t:?} {found:?}"
+            );
         }
     }
     assert!(hits > 50_000, "{hits}");

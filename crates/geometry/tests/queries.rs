@@ -54,7 +54,7 @@ fn the_interval_is_half_open() {
             assert_eq!(hit.map(|h| h.t), expected, "[{t_min}, {t_max})");
             assert_eq!(hit.map(|h| h.global), expected.map(|t| pane(t as usize - 1)));
             assert_eq!(tile.grid.nearest(&query), hit);
-            assert_eq!(tile.bvh.nearest_portable(&query), hit);
+            assert_eq!(tile.bvh.nearest_with(Instructions::Portable, &query), hit);
             assert_eq!(tile.batch(&[query]), [hit]);
         }
     }
@@ -142,7 +142,9 @@ fn ties_go_to_the_smaller_index_among_hundreds() {
                 };
                 (0..triangles.len())
                     .map(|i| (triangles[i][0].x, 3 * i as u32 + 1))
-                    .filter(|&(t, global)| on(global as usize / 3) && t >= t_min && global != exclude)
+                    .filter(|&(t, global)| {
+                        on(global as usize / 3) && t >= t_min && global != exclude
+                    })
                     .min_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)))
             };
             let (mut exclude, mut t_min) = (NONE, 0.0);
@@ -174,7 +176,8 @@ fn what_has_no_area_is_never_hit() {
         [at(0.0, 0.0, 0.0), at(2.0, 0.0, 0.0), at(0.0, 0.0, 0.0)],
     ];
     for _ in 0..200 {
-        let (a, step) = ((32.0 * random.cube()).round() / 32.0, (32.0 * random.cube()).round() / 32.0);
+        let (a, step) =
+            ((32.0 * random.cube()).round() / 32.0, (32.0 * random.cube()).round() / 32.0);
         let line = |k: usize| p + 1.5 * Vec3::X + a * Vec3::new(0.4, 0.0, 0.0) + k as f32 * step;
         let exact = [random.below(4), random.below(4), random.below(4)].map(line);
         let [a, b, c] = exact.map(|p| p.as_dvec3());

@@ -127,9 +127,7 @@ fn ties_go_to_the_smaller_global_index() {
     let ray = Ray { origin: Vec3::new(1.0, 1.0, 2.0), direction: Vec3::NEG_Z };
     for (kind, blob) in KINDS.into_iter().zip(&blobs.structures) {
         let structure = Structure::from_blob(kind, blob, mesh, blobs.delta).unwrap();
-        let ask = |t_min, t_max, exclude| {
-            structure.nearest(&Query { ray, t_min, t_max, exclude })
-        };
+        let ask = |t_min, t_max, exclude| structure.nearest(&Query { ray, t_min, t_max, exclude });
         let nearest = |exclude| ask(0.0, 9.0, exclude).unwrap();
         assert_eq!((nearest(NONE).global, nearest(NONE).t), (1, 2.0));
         assert_eq!(nearest(1).global, 4);
@@ -205,7 +203,7 @@ fn a_corrupt_structure_is_rejected_or_harmless() {
         for query in &queries {
             structure.nearest(query);
             if let Structure::Bvh(bvh) = structure {
-                bvh.nearest_portable(query);
+                bvh.nearest_with(enf_geometry::Instructions::Portable, query);
             }
         }
         if let Structure::Bvh(bvh) = structure {

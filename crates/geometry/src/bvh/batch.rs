@@ -9,11 +9,9 @@
 
 use enf_layout::bvh::WIDTH;
 use pulp::NullaryFnOnce;
-#[cfg(target_arch = "x86_64")]
-use pulp::x86::{V3, V4};
 
 use super::BvhView;
-use super::level::{INNER, Level, NOTHING, Portable};
+use super::level::{BLOCK, COUNT_SHIFT, INNER, Instructions, Level, NOTHING, Token};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
@@ -40,14 +38,14 @@ struct Flight<R> {
     what: [[u32; ENTRIES]; FLIGHT],
 }
 
-struct Flights<'q, L> {
+struct Flights<'q, L, A, const ANY: bool> {
     level: L,
     bvh: &'q BvhView<'q>,
     queries: &'q [Query],
-    answers: &'q mut [Option<Hit>],
+    answers: &'q mut [A],
 }
 
-impl<L: Level> Flights<'_, L> {
+impl<L: Level, A: Answer, const ANY: bool> Flights<'_, L, A, ANY> {
     /// The next query that has something to walk for takes a place at the root; those before it are answered.
     #[inline(always)]
     fn board(&mut self, next: &mut usize, flight: &mut Flight<L::Ray>, place: usize) -> bool {
@@ -64,13 +62,13 @@ impl<L: Level> Flights<'_, L> {
                 flight.len[place & MASK] = WIDTH as u32 + 1;
                 return true;
             }
-            self.answers[index] = search.answer();
+            self.answers[index] = A::of(search);
         }
         false
     }
 }
 
-impl<L: Level> NullaryFnOnce for Flights<'_, L> {
+impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, ANY> {
     type Output = ();
 
     #[inline(always)]
@@ -136,7 +134,7 @@ impl<L: Level> NullaryFnOnce for Flights<'_, L> {
                 touched ^= node.origin[0].to_bits() ^ node.used;
             }
             for &place in blocks {
-                let block = flight.at[place as usize & MASK] & 0x1fff_ffff;
+                let block = flight.at[place as usize & MASK] & BLOCK;
                 let block = &bvh.blocks[block as usize];
                 touched ^= block.corners[0][0][0].to_bits() ^ block.corners[1][1][0].to_bits();
                 touched ^= block.corners[2][2][0].to_bits() ^ block.material[3];
@@ -154,7 +152,7 @@ impl<L: Level> NullaryFnOnce for Flights<'_, L> {
                     // No room: alone, from the start.
                     let query = &self.queries[flight.index[i] as usize];
                     flight.search[i] = Search::new(bvh.delta, query);
-                    bvh.alone(level, &mut flight.search[i]);
+                    bvh.alone::<_, ANY>(level, &mut flight.search[i]);
                     flight.len[i] = WIDTH as u32;
                     continue;
                 }
@@ -165,13 +163,17 @@ impl<L: Level> NullaryFnOnce for Flights<'_, L> {
             for &place in blocks {
                 let i = place as usize & MASK;
                 let at = flight.at[i];
-                let block = at & 0x1fff_ffff;
-                let triangles = (at >> 29) + 1;
+                let block = at & BLOCK;
+                let triangles = (at >> COUNT_SHIFT) + 1;
                 flight.search[i].test_block(&bvh.blocks[block as usize], triangles, 4 * block);
+                if ANY {
+                    let rest = if flight.search[i].found { WIDTH as u32 } else { u32::MAX };
+                    flight.len[i] = flight.len[i].min(rest);
+                }
             }
             for &place in &ended[..at_end] {
                 let i = place as usize & MASK;
-                self.answers[flight.index[i] as usize] = flight.search[i].answer();
+                self.answers[flight.index[i] as usize] = A::of(&flight.search[i]);
                 if !self.board(&mut next, flight, i) {
                     let gone = active[..count].iter().position(|&a| a == place).unwrap_or(0);
                     count -= 1;
@@ -182,17 +184,78 @@ impl<L: Level> NullaryFnOnce for Flights<'_, L> {
     }
 }
 
+/// What is wanted of a search.
+trait Answer {
+    fn of(search: &Search) -> Self;
+}
+
+impl Answer for Option<Hit> {
+    #[inline(always)]
+    fn of(search: &Search) -> Self {
+        search.answer()
+    }
+}
+
+impl Answer for bool {
+    #[inline(always)]
+    fn of(search: &Search) -> Self {
+        search.found
+    }
+}
+
 impl BvhView<'_> {
     /// [`BvhView::nearest`] of many queries; as many answers.
     pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
-        assert_eq!(queries.len(), answers.len(), "as many answers as queries");
+        self.nearest_batch_with(Instructions::best(), queries, answers);
+    }
+
+    /// [`BvhView::nearest_batch`] by certain instructions: for tests, as all agree.
+    pub fn nearest_batch_with(
+        &self,
+        instructions: Instructions,
+        queries: &[Query],
+        answers: &mut [Option<Hit>],
+    ) {
+        self.batch::<_, false>(instructions, queries, answers);
+    }
+
+    /// [`BvhView::occluded`] of many queries; as many answers.
+    pub fn occluded_batch(&self, queries: &[Query], answers: &mut [bool]) {
+        self.occluded_batch_with(Instructions::best(), queries, answers);
+    }
+
+    /// [`BvhView::occluded_batch`] by certain instructions: for tests, as all agree.
+    pub fn occluded_batch_with(
+        &self,
+        instructions: Instructions,
+        queries: &[Query],
+        answers: &mut [bool],
+    ) {
+        self.batch::<_, true>(instructions, queries, answers);
+    }
+
+    fn batch<A: Answer, const ANY: bool>(
+        &self,
+        instructions: Instructions,
+        queries: &[Query],
+        answers: &mut [A],
+    ) {
         let bvh = self;
-        if let Some(level) = V4::try_new() {
-            level.vectorize(Flights { level, bvh, queries, answers });
-        } else if let Some(level) = V3::try_new() {
-            level.vectorize(Flights { level, bvh, queries, answers });
-        } else {
-            Flights { level: Portable, bvh, queries, answers }.call();
+        // As many as there are of both.
+        let n = queries.len().min(answers.len());
+        let (queries, answers) = (&queries[..n], &mut answers[..n]);
+        match instructions.token() {
+            #[cfg(target_arch = "x86_64")]
+            Token::Avx512(level) => {
+                level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, answers });
+            }
+            #[cfg(target_arch = "x86_64")]
+            Token::Avx2(level) => {
+                level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, answers });
+            }
+            Token::Portable(level) => {
+                Flights::<_, A, ANY> { level, bvh, queries, answers }.call();
+            }
         }
     }
 }

@@ -18,10 +18,76 @@ const LEAST: f32 = 1e-25;
 /// In an entry: an inner node, whose index has the lower bits. Others are leaves: their triangles less one
 /// from bit 29 on, and their block.
 pub(super) const INNER: u32 = 1 << 31;
+/// In an entry of a leaf: where the number of triangles less one is.
+pub(super) const COUNT_SHIFT: u32 = 29;
+/// In an entry of a leaf: the bits of its block.
+pub(super) const BLOCK: u32 = (1 << COUNT_SHIFT) - 1;
 /// No entry: the inner node that no hierarchy has.
 pub(super) const NOTHING: u32 = u32::MAX;
 /// Entries of a stack that is always large enough.
 pub(super) const STACK: usize = DEPTH * (WIDTH - 1) + 2 * WIDTH;
+
+/// Sets of instructions, the least first. Hits do not depend on them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Instructions {
+    /// What every machine has.
+    Portable,
+    /// AVX2 and FMA (x86-64-v3).
+    Avx2,
+    /// AVX-512 F, BW, CD, DQ and VL (x86-64-v4).
+    Avx512,
+}
+
+impl Instructions {
+    /// All sets.
+    pub const ALL: [Self; 3] = [Self::Portable, Self::Avx2, Self::Avx512];
+
+    /// Whether this machine has them. Where it does not, lesser ones are used.
+    pub fn available(self) -> bool {
+        match (self, self.token()) {
+            (Self::Portable, _) => true,
+            (_, Token::Portable(_)) => false,
+            #[cfg(target_arch = "x86_64")]
+            (Self::Avx2, _) => true,
+            #[cfg(target_arch = "x86_64")]
+            (Self::Avx512, token) => matches!(token, Token::Avx512(_)),
+        }
+    }
+
+    /// The best that there are.
+    #[inline(always)]
+    pub(super) fn best() -> Self {
+        Self::Avx512
+    }
+
+    #[inline(always)]
+    pub(super) fn token(self) -> Token {
+        #[cfg(target_arch = "x86_64")]
+        {
+            if self == Self::Avx512
+                && let Some(level) = V4::try_new()
+            {
+                return Token::Avx512(level);
+            }
+            if self != Self::Portable
+                && let Some(level) = V3::try_new()
+            {
+                return Token::Avx2(level);
+            }
+        }
+        Token::Portable(Portable)
+    }
+}
+
+/// The proof that a machine has certain instructions.
+#[derive(Clone, Copy)]
+pub(super) enum Token {
+    #[cfg(target_arch = "x86_64")]
+    Avx512(V4),
+    #[cfg(target_arch = "x86_64")]
+    Avx2(V3),
+    Portable(Portable),
+}
 
 /// What is still to be visited: where it is entered, and what it is. At the bottom lie seven entries that are never
 /// taken and one that always is and ends the walk, so that eight can be looked at, always.

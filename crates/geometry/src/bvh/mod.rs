@@ -17,6 +17,7 @@ mod walk;
 
 pub use build::{build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh};
 pub use enf_layout::bvh::{BvhHeader, BvhNode};
+pub use level::Instructions;
 
 use enf_layout::bvh::{
     CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS,

@@ -1,23 +1,24 @@
 //! A ray through the hierarchy, nearest box first.
 
 use pulp::NullaryFnOnce;
-#[cfg(target_arch = "x86_64")]
-use pulp::x86::{V3, V4};
 
-use super::level::{INNER, Level, NOTHING, Portable, Stack};
+use super::level::{BLOCK, COUNT_SHIFT, INNER, Instructions, Level, NOTHING, Stack, Token};
 use super::{BvhHeader, BvhView};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
-struct Walk<'q, L> {
+/// One ray's walk; to any hit, or to the nearest.
+struct Walk<'q, L, const ANY: bool> {
     level: L,
     bvh: &'q BvhView<'q>,
     search: &'q mut Search,
 }
 
-impl<L: Level> Walk<'_, L> {
+impl<L: Level, const ANY: bool> NullaryFnOnce for Walk<'_, L, ANY> {
+    type Output = ();
+
     #[inline(always)]
-    fn along(self) {
+    fn call(self) {
         let Self { level, bvh, search } = self;
         let boxes = level.boxes(&search.ray);
         let mut stack = Stack::new();
@@ -33,9 +34,12 @@ impl<L: Level> Walk<'_, L> {
                     continue;
                 }
             } else {
-                let block = at & 0x1fff_ffff;
-                let count = (at >> 29) + 1;
+                let block = at & BLOCK;
+                let count = (at >> COUNT_SHIFT) + 1;
                 search.test_block(&bvh.blocks[block as usize], count, 4 * block);
+                if ANY && search.found {
+                    return;
+                }
             }
             // What begins at the best distance may hold a smaller index.
             at = level.pop(&mut stack, search.best.t);
@@ -43,34 +47,53 @@ impl<L: Level> Walk<'_, L> {
     }
 }
 
-impl<L: Level> NullaryFnOnce for Walk<'_, L> {
-    type Output = ();
-
-    #[inline(always)]
-    fn call(self) {
-        self.along();
-    }
-}
-
 impl BvhView<'_> {
     /// The canonical hit with the smallest `(t, global)` among those that the query admits: exactly what testing
     /// every triangle finds, on every machine.
     pub fn nearest(&self, query: &Query) -> Option<Hit> {
+        self.nearest_with(Instructions::best(), query)
+    }
+
+    /// [`BvhView::nearest`] by certain instructions: for tests, as all agree.
+    pub fn nearest_with(&self, instructions: Instructions, query: &Query) -> Option<Hit> {
         let mut search = Search::new(self.delta, query);
         if self.is_plain(&mut search) {
-            best_walk(self, &mut search);
+            self.walk::<false>(instructions, &mut search);
         }
         search.answer()
     }
 
-    /// [`BvhView::nearest`] without vector instructions beyond the machine's least: for tests, as it must
-    /// agree with every other way.
-    pub fn nearest_portable(&self, query: &Query) -> Option<Hit> {
+    /// Whether the query admits any hit.
+    pub fn occluded(&self, query: &Query) -> bool {
+        self.occluded_with(Instructions::best(), query)
+    }
+
+    /// [`BvhView::occluded`] by certain instructions: for tests, as all agree.
+    pub fn occluded_with(&self, instructions: Instructions, query: &Query) -> bool {
         let mut search = Search::new(self.delta, query);
         if self.is_plain(&mut search) {
-            Walk { level: Portable, bvh: self, search: &mut search }.call();
+            self.walk::<true>(instructions, &mut search);
         }
-        search.answer()
+        search.found
+    }
+
+    #[inline(always)]
+    fn walk<const ANY: bool>(&self, instructions: Instructions, search: &mut Search) {
+        let bvh = self;
+        match instructions.token() {
+            #[cfg(target_arch = "x86_64")]
+            Token::Avx512(level) => level.vectorize(Walk::<_, ANY> { level, bvh, search }),
+            #[cfg(target_arch = "x86_64")]
+            Token::Avx2(level) => level.vectorize(Walk::<_, ANY> { level, bvh, search }),
+            Token::Portable(level) => Walk::<_, ANY> { level, bvh, search }.call(),
+        }
+    }
+
+    /// One search to its end, by itself.
+    #[cold]
+    #[inline(never)]
+    pub(super) fn alone<L: Level, const ANY: bool>(&self, level: L, search: &mut Search) {
+        Walk::<_, ANY> { level, bvh: self, search }.call();
     }
 
     #[cold]
@@ -86,13 +109,6 @@ impl BvhView<'_> {
     }
 
     /// Whether there is anything to walk for. Where boxes cannot be trusted, every triangle is tested here.
-    /// One search to its end.
-    #[cold]
-    #[inline(never)]
-    pub(super) fn alone<L: Level>(&self, level: L, search: &mut Search) {
-        Walk { level, bvh: self, search }.call();
-    }
-
     #[inline(always)]
     pub(super) fn is_plain(&self, search: &mut Search) -> bool {
         if !search.is_sane() {
@@ -120,22 +136,4 @@ pub(super) fn reach(header: &BvhHeader, delta: f32) -> f32 {
     let scene = crate::ray::reach(delta);
     let within = scene <= LARGEST && header.min.iter().chain(&header.max).all(|x| x.abs() <= scene);
     if within && delta > 0.0 { 4.0 * scene } else { -1.0 }
-}
-
-/// Walks with the best instructions that the machine has.
-#[cfg(target_arch = "x86_64")]
-fn best_walk(bvh: &BvhView<'_>, search: &mut Search) {
-    if let Some(level) = V4::try_new() {
-        level.vectorize(Walk { level, bvh, search });
-    } else if let Some(level) = V3::try_new() {
-        level.vectorize(Walk { level, bvh, search });
-    } else {
-        Walk { level: Portable, bvh, search }.call();
-    }
-}
-
-/// Walks with the best instructions that the machine has.
-#[cfg(not(target_arch = "x86_64"))]
-fn best_walk(bvh: &BvhView<'_>, search: &mut Search) {
-    Walk { level: Portable, bvh, search }.call();
 }

@@ -15,21 +15,30 @@ impl GridView<'_> {
     /// The canonical hit with the smallest `(t, global)` among those that the query admits: exactly what testing
     /// every triangle finds.
     pub fn nearest(&self, query: &Query) -> Option<Hit> {
-        let search = Search::new(self.delta, query);
-        if !search.is_sane() {
-            return None;
+        let mut search = Search::new(self.delta, query);
+        if search.is_sane() {
+            self.walk::<false>(&mut search);
         }
-        self.walk(search)
+        search.answer()
     }
 
-    fn walk(&self, mut search: Search) -> Option<Hit> {
+    /// Whether the query admits any hit.
+    pub fn occluded(&self, query: &Query) -> bool {
+        let mut search = Search::new(self.delta, query);
+        if search.is_sane() {
+            self.walk::<true>(&mut search);
+        }
+        search.found
+    }
+
+    /// To any hit, or to the nearest.
+    fn walk<const ANY: bool>(&self, search: &mut Search) {
         let header = self.header;
         let far = FAR * f64::from(header.delta);
         let origin = search.ray.origin.map(f64::from);
         let direction = search.ray.direction.map(f64::from);
         if origin.iter().any(|x| x.abs() > far) {
-            search.by_force(&self.mesh);
-            return search.answer();
+            return search.by_force(&self.mesh);
         }
 
         // Clip to the box. It has four tolerances of air, so rounding cannot cut off a hit.
@@ -45,7 +54,7 @@ impl GridView<'_> {
             start[i] = -low * scale;
             if d == 0.0 {
                 if low > 0.0 || high < 0.0 {
-                    return None;
+                    return;
                 }
                 continue;
             }
@@ -59,7 +68,7 @@ impl GridView<'_> {
         }
         // A NaN bound was dropped by min or max; no hit passes the test against it either.
         if enter > leave {
-            return None;
+            return;
         }
 
         let [nx, ny, nz] = header.bricks.map(|n| n as i32);
@@ -119,12 +128,12 @@ impl GridView<'_> {
                             let global = self.mesh.global[triangle as usize];
                             search.test(corners, global, triangle);
                         }
-                        if f64::from(search.best.t) < end {
-                            return search.answer();
+                        if (ANY && search.found) || f64::from(search.best.t) < end {
+                            return;
                         }
                     }
                     if end >= leave {
-                        return search.answer();
+                        return;
                     }
                     left[axis] -= 1;
                     if left[axis] < 0 {
@@ -137,11 +146,11 @@ impl GridView<'_> {
             let axis = first_of(&brick_exit);
             enter = brick_exit[axis];
             if enter >= leave || f64::from(search.best.t) < enter {
-                return search.answer();
+                return;
             }
             ahead_bricks[axis] -= 1;
             if ahead_bricks[axis] < 0 {
-                return search.answer();
+                return;
             }
             brick[axis] += step[axis];
             index = (index as i64 + i64::from(stride[axis])) as usize;

@@ -42,7 +42,10 @@ impl Closed {
         let k = random.below(3);
         let (a, b) = (triangle[k], triangle[(k + 1) % 3]);
         let edge = a + random.unit() * (b - a);
-        let toward = |p: Vec3| Ray { origin, direction: ((p - origin) / self.half.max_element()).normalize() };
+        let toward = |p: Vec3| Ray {
+            origin,
+            direction: ((p - origin) / self.half.max_element()).normalize(),
+        };
         let sign = |random: &mut Random| if random.below(2) == 0 { 1.0 } else { -1.0 };
         match random.below(AIMS) {
             0 => Ray { origin, direction: random.direction() },
@@ -187,12 +190,32 @@ pub fn surfaces() -> Vec<Closed> {
         Closed::new("sphere", ball(4, 0.0, Vec3::splat(10.0), 1), o, 10.0 * half),
         Closed::new("uneven ball", ball(3, 0.3, Vec3::splat(7.0), 2), o, 7.0 * half),
         Closed::new("flat ball", ball(3, 0.3, flat, 3), o, flat * half),
-        Closed::new("box on a lattice", room(16, Vec3::splat(16.0), 0.0, 0.0, 4), o, 16.0 * 0.8 * half),
+        Closed::new(
+            "box on a lattice",
+            room(16, Vec3::splat(16.0), 0.0, 0.0, 4),
+            o,
+            16.0 * 0.8 * half,
+        ),
         Closed::new("box, irregular", room(20, hall, 0.3, 0.0, 5), o, hall * 0.8 * half),
         Closed::new("room with uneven walls", room(24, hall, 0.3, 0.3, 6), o, hall * 0.8 * half),
-        Closed::new("room far away", moved(room(16, hall, 0.3, 0.2, 7), here), here, hall * 0.8 * half),
-        Closed::new("tiny room", room(12, hall * 2f32.powi(-30), 0.3, 0.2, 8), o, hall * 2f32.powi(-30) * 0.8 * half),
-        Closed::new("huge room", room(12, hall * 2f32.powi(20), 0.3, 0.2, 9), o, hall * 2f32.powi(20) * 0.8 * half),
+        Closed::new(
+            "room far away",
+            moved(room(16, hall, 0.3, 0.2, 7), here),
+            here,
+            hall * 0.8 * half,
+        ),
+        Closed::new(
+            "tiny room",
+            room(12, hall * 2f32.powi(-30), 0.3, 0.2, 8),
+            o,
+            hall * 2f32.powi(-30) * 0.8 * half,
+        ),
+        Closed::new(
+            "huge room",
+            room(12, hall * 2f32.powi(20), 0.3, 0.2, 9),
+            o,
+            hall * 2f32.powi(20) * 0.8 * half,
+        ),
         Closed::new("octahedron", ball(0, 0.0, Vec3::splat(4.0), 10), o, 4.0 * Vec3::splat(0.3)),
     ]
 }
