@@ -12,6 +12,8 @@ use crate::mesh::TileMesh;
 
 /// Bins along each axis.
 const BINS: usize = 16;
+/// From so many triangles on, it pays to fill two sets of bins.
+const MANY: usize = 256;
 /// Sets of so many triangles are divided exactly.
 const SMALL: usize = 64;
 /// What a further leaf costs by itself, in blocks that are tested.
@@ -34,7 +36,9 @@ struct Item {
 const ORDINARY: u32 = 0x4000_0000;
 
 impl Item {
-    fn new([a, b, c]: [Vec3; 3], triangle: u32) -> Self {
+    #[inline(always)]
+    fn new(mesh: &TileMesh, triangle: u32) -> Self {
+        let [a, b, c] = mesh.corner_arrays(triangle).map(|&p| Vec3::from_array(p));
         let min = a.min(b).min(c).extend(f32::from_bits(triangle ^ ORDINARY));
         Self { min, max: a.max(b).max(c).extend(0.0) }
     }
@@ -62,16 +66,16 @@ impl Bounds {
 
     #[inline(always)]
     fn add(&mut self, min: Vec4, max: Vec4) {
-        self.min = self.min.min(min);
-        self.max = self.max.max(max);
+        self.min = min.min(self.min);
+        self.max = max.max(self.max);
     }
 
-    /// Half its surface; finite.
+    /// Half its surface, if it is a box.
     #[inline(always)]
     fn area(&self) -> f32 {
-        let d = (self.max - self.min).max(Vec4::ZERO);
+        let d = self.max - self.min;
         let faces = d * d.yzxw();
-        (faces.x + faces.y + faces.z).min(f32::MAX)
+        faces.x + faces.y + faces.z
     }
 }
 
@@ -90,6 +94,8 @@ pub(super) struct Binary {
 
 /// A binary tree.
 pub(super) struct Tree {
+    /// The box of all triangles.
+    pub(super) bounds: Bounds,
     /// Parents before children; none without triangles.
     pub(super) nodes: Vec<Binary>,
     /// Triangles, leaf by leaf.
@@ -105,13 +111,14 @@ pub(super) fn bytes(triangles: usize) -> usize {
 /// Sorts a mesh's triangles into a tree.
 pub(super) fn divide(mesh: &TileMesh) -> Tree {
     let mut items: Vec<Item> =
-        (0..mesh.len()).map(|triangle| Item::new(mesh.corners(triangle), triangle)).collect();
+        (0..mesh.len()).map(|triangle| Item::new(mesh, triangle)).collect();
     let n = items.len();
+    let bounds = of(&items);
     let nodes = Vec::with_capacity(2 * blocks_most(n));
-    let mut tree = Tree { nodes, order: Vec::with_capacity(n) };
+    let mut tree = Tree { bounds, nodes, order: Vec::with_capacity(n) };
     let mut stack = Vec::with_capacity(DEPTH);
     if n > 0 {
-        stack.push(Job { second_of: None, from: 0, to: n, depth: 0, spare: n / SPARING });
+        stack.push(Job { second_of: None, from: 0, to: n, bounds, depth: 0, spare: n / SPARING });
     }
     while let Some(job) = stack.pop() {
         let at = tree.nodes.len() as u32;
@@ -125,12 +132,12 @@ pub(super) fn divide(mesh: &TileMesh) -> Tree {
             continue;
         }
         let n = mine.len();
-        let bounds = of(mine);
-        let middle = split(mine, job.depth, job.spare);
-        tree.nodes.push(inner(&bounds));
+        let (middle, [front, back]) = split(mine, job.depth, job.spare);
+        tree.nodes.push(inner(&job.bounds));
         let [first, second] = share(job.spare, middle, n);
-        stack.push(Job { second_of: Some(at), from: from + middle, to: job.to, depth, spare: second });
-        stack.push(Job { second_of: None, from, to: from + middle, depth, spare: first });
+        let middle = from + middle;
+        stack.push(Job { second_of: Some(at), from: middle, to: job.to, bounds: back, depth, spare: second });
+        stack.push(Job { second_of: None, from, to: middle, bounds: front, depth, spare: first });
     }
     tree
 }
@@ -140,6 +147,7 @@ struct Job {
     second_of: Option<u32>,
     from: usize,
     to: usize,
+    bounds: Bounds,
     depth: u32,
     /// Blocks that it may have more than it needs.
     spare: usize,
@@ -159,16 +167,39 @@ fn share(spare: usize, middle: usize, n: usize) -> [usize; 2] {
 }
 
 fn of(items: &[Item]) -> Bounds {
-    let mut bounds = Bounds::EMPTY;
-    for item in items {
-        bounds.add(item.min, item.max);
+    // Two at a time: each waits for the one before.
+    let (mut even, mut odd) = (Bounds::EMPTY, Bounds::EMPTY);
+    let (pairs, last) = items.as_chunks::<2>();
+    for [a, b] in pairs {
+        even.add(a.min, a.max);
+        odd.add(b.min, b.max);
     }
-    bounds
+    for item in last {
+        even.add(item.min, item.max);
+    }
+    even.add(odd.min, odd.max);
+    even
+}
+
+/// The box of twice the centres.
+fn centres_of(items: &[Item]) -> Bounds {
+    let (mut even, mut odd) = (Bounds::EMPTY, Bounds::EMPTY);
+    let (pairs, last) = items.as_chunks::<2>();
+    for [a, b] in pairs {
+        let (a, b) = (a.centre(), b.centre());
+        even.add(a, a);
+        odd.add(b, b);
+    }
+    for item in last {
+        even.add(item.centre(), item.centre());
+    }
+    even.add(odd.min, odd.max);
+    even
 }
 
 fn inner(bounds: &Bounds) -> Binary {
     let centre = (bounds.min + bounds.max).truncate().to_array();
-    Binary { centre, area: bounds.area(), at: 0, count: 0 }
+    Binary { centre, area: bounds.area().min(f32::MAX), at: 0, count: 0 }
 }
 
 /// The longest axis.
@@ -187,14 +218,10 @@ fn half(n: usize) -> usize {
     blocks_needed(n) / 2 * LEAF_TRIANGLES
 }
 
-/// Where to part a large set, which is then sorted accordingly.
-fn split(items: &mut [Item], depth: u32, spare: usize) -> usize {
+/// Where to part a large set, which is then sorted accordingly, and the boxes of the parts.
+fn split(items: &mut [Item], depth: u32, spare: usize) -> (usize, [Bounds; 2]) {
     let n = items.len();
-    let mut centres = Bounds::EMPTY;
-    for item in items.iter() {
-        let c = item.centre();
-        centres.add(c, c);
-    }
+    let centres = centres_of(items);
     let low = centres.min;
     let size = centres.max - low;
     let spread = size.truncate().is_finite() && size.truncate().max_element() > 0.0;
@@ -208,12 +235,23 @@ fn split(items: &mut [Item], depth: u32, spare: usize) -> usize {
     let scale = scale.extend(0.0);
     let mut bins = [[Bounds::EMPTY; BINS]; 3];
     let mut counts = [[0u32; BINS]; 3];
-    for item in items.iter() {
-        let at = bin(item, low, scale);
-        for axis in 0..3 {
-            let k = at[axis] as usize & (BINS - 1);
-            bins[axis][k].add(item.min, item.max);
-            counts[axis][k] += 1;
+    if n < MANY {
+        fill(items, low, scale, &mut bins, &mut counts);
+    } else {
+        // Two at a time, as an item often waits for the one before to leave its bin.
+        let mut others = bins;
+        let mut other_counts = counts;
+        let (pairs, last) = items.as_chunks::<2>();
+        for [a, b] in pairs {
+            fill(std::slice::from_ref(a), low, scale, &mut bins, &mut counts);
+            fill(std::slice::from_ref(b), low, scale, &mut others, &mut other_counts);
+        }
+        fill(last, low, scale, &mut bins, &mut counts);
+        for (bin, other) in bins.as_flattened_mut().iter_mut().zip(others.as_flattened()) {
+            bin.add(other.min, other.max);
+        }
+        for (count, other) in counts.as_flattened_mut().iter_mut().zip(other_counts.as_flattened()) {
+            *count += other;
         }
     }
     // (cost, axis, first bin of the second part, triangles before)
@@ -231,9 +269,6 @@ fn split(items: &mut [Item], depth: u32, spare: usize) -> usize {
         for k in 1..BINS {
             sum.add(bins[k - 1].min, bins[k - 1].max);
             count += counts[k - 1] as usize;
-            if count == 0 || count == n {
-                continue;
-            }
             let cost = sum.area() * blocks_needed(count) as f32 + right[k];
             if cost < best.0 {
                 best = (cost, axis, k, count);
@@ -255,7 +290,30 @@ fn split(items: &mut [Item], depth: u32, spare: usize) -> usize {
         let at = bin(&this, low, scale);
         middle += usize::from((at[axis] as usize & (BINS - 1)) < k);
     }
-    middle
+    let boxes = [&bins[axis][..k], &bins[axis][k..]].map(|bins| {
+        let mut sum = Bounds::EMPTY;
+        for bin in bins {
+            sum.add(bin.min, bin.max);
+        }
+        sum
+    });
+    (middle, boxes)
+}
+
+type Bins = [[Bounds; BINS]; 3];
+type Counts = [[u32; BINS]; 3];
+
+/// Puts items into the bins of each axis.
+#[inline(always)]
+fn fill(items: &[Item], low: Vec4, scale: Vec4, bins: &mut Bins, counts: &mut Counts) {
+    for item in items {
+        let at = bin(item, low, scale);
+        for axis in 0..3 {
+            let k = at[axis] as usize & (BINS - 1);
+            bins[axis][k].add(item.min, item.max);
+            counts[axis][k] += 1;
+        }
+    }
 }
 
 /// The bins of an item along each axis, in the low bits.
@@ -267,12 +325,12 @@ fn bin(item: &Item, low: Vec4, scale: Vec4) -> [u32; 4] {
 }
 
 /// Sorts a set so that the first `middle` have the smaller centres.
-fn part(items: &mut [Item], axis: usize, middle: usize) -> usize {
+fn part(items: &mut [Item], axis: usize, middle: usize) -> (usize, [Bounds; 2]) {
     let centre = |item: &Item| item.min[axis] + item.max[axis];
     items.select_nth_unstable_by(middle, |a, b| {
         centre(a).total_cmp(&centre(b)).then(a.triangle().cmp(&b.triangle()))
     });
-    middle
+    (middle, [of(&items[..middle]), of(&items[middle..])])
 }
 
 /// A small set: sorted along each axis once, and parted at the best place of all.
@@ -349,15 +407,19 @@ impl<'a> Small<'a> {
             for i in (1..n).rev() {
                 let item = self.item(axis, from + i);
                 sum.add(item.min, item.max);
-                right[i] = sum.area() * blocks_needed(n - i) as f32;
+                if extra(i, n) <= spare {
+                    right[i] = sum.area() * blocks_needed(n - i) as f32;
+                }
             }
             let mut sum = Bounds::EMPTY;
             for i in 1..n {
                 let item = self.item(axis, from + i - 1);
                 sum.add(item.min, item.max);
-                let cost = sum.area() * blocks_needed(i) as f32 + right[i];
-                if cost < best.0 && extra(i, n) <= spare {
-                    best = (cost, Some((axis, i)));
+                if extra(i, n) <= spare {
+                    let cost = sum.area() * blocks_needed(i) as f32 + right[i];
+                    if cost < best.0 {
+                        best = (cost, Some((axis, i)));
+                    }
                 }
             }
         }

@@ -20,7 +20,7 @@ use crate::mesh::TileMesh;
 /// Boxes are grown by so many tolerances.
 const GROWN: f64 = 4.0;
 /// Of so many triangles, one block more than necessary may come.
-const SPARING: usize = 16;
+const SPARING: usize = 32;
 
 /// Blocks that so many triangles need.
 fn blocks_needed(triangles: usize) -> usize {
@@ -69,12 +69,12 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
     let tree = binary::divide(mesh);
     let (shape, references) = wide::collapse(&tree);
+    let bounds = tree.bounds;
     drop(tree);
 
-    let bounds = mesh.bounds();
     let out = GROWN * f64::from(delta);
     let grown = |p: f32, by: f64| ((f64::from(p) + by) as f32).clamp(f32::MIN, f32::MAX);
-    let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
+    let (min, max) = (bounds.min.truncate().to_array(), bounds.max.truncate().to_array());
     let (min, max) = if mesh.is_empty() { ([0.0; 3], [0.0; 3]) } else { (min, max) };
     let header = BvhHeader {
         min: min.map(|p| grown(p.next_down(), -out)),
