@@ -6,7 +6,9 @@
 
 use std::time::Instant;
 
-use enf_geometry::{BvhView, NONE, Query, Ray, TileMesh, build_bvh, bvh_bytes_estimate, complete_bvh};
+use enf_geometry::{
+    BvhView, NONE, Query, Ray, TileMesh, build_bvh, bvh_bytes_estimate, complete_bvh,
+};
 use enf_layout::codec;
 use glam::Vec3;
 
@@ -96,8 +98,7 @@ fn walks(mesh: &TileMesh, bvh: &BvhView, rays: usize) -> Vec<Query> {
 fn measure(scene: &str, rays: usize) -> Result<(), Box<dyn std::error::Error>> {
     let soup = read(scene)?;
     let triangles = soup.len() as f64;
-    let mesh_blob =
-        TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
+    let mesh_blob = TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
     let mesh = TileMesh::from_blob(&mesh_blob)?;
     let delta = 32.0 / (1 << 19) as f32;
     let rounds = (2_000_000 / soup.len().max(1)).clamp(3, 21);

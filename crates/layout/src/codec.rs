@@ -150,10 +150,13 @@ fn from_words<const STRIDE: usize>(
     let (p2, p3) = high.split_at(n);
     let mut before = [0; STRIDE];
     let words = section.as_chunks_mut::<4>().0.chunks_mut(STRIDE);
-    let residues = p0.chunks(STRIDE).zip(p1.chunks(STRIDE)).zip(p2.chunks(STRIDE).zip(p3.chunks(STRIDE)));
+    let residues =
+        p0.chunks(STRIDE).zip(p1.chunks(STRIDE)).zip(p2.chunks(STRIDE).zip(p3.chunks(STRIDE)));
     for (words, ((a, b), (c, d))) in words.zip(residues) {
         let residues = a.iter().zip(b).zip(c.iter().zip(d));
-        for ((word, before), ((&a, &b), (&c, &d))) in words.iter_mut().zip(&mut before).zip(residues) {
+        for ((word, before), ((&a, &b), (&c, &d))) in
+            words.iter_mut().zip(&mut before).zip(residues)
+        {
             *before = undo(*before, u32::from_le_bytes([a, b, c, d]));
             *word = before.to_le_bytes();
         }

@@ -110,8 +110,7 @@ pub(super) fn bytes(triangles: usize) -> usize {
 
 /// Sorts a mesh's triangles into a tree.
 pub(super) fn divide(mesh: &TileMesh) -> Tree {
-    let mut items: Vec<Item> =
-        (0..mesh.len()).map(|triangle| Item::new(mesh, triangle)).collect();
+    let mut items: Vec<Item> = (0..mesh.len()).map(|triangle| Item::new(mesh, triangle)).collect();
     let n = items.len();
     let bounds = of(&items);
     let nodes = Vec::with_capacity(2 * blocks_most(n));
@@ -136,7 +135,14 @@ pub(super) fn divide(mesh: &TileMesh) -> Tree {
         tree.nodes.push(inner(&job.bounds));
         let [first, second] = share(job.spare, middle, n);
         let middle = from + middle;
-        stack.push(Job { second_of: Some(at), from: middle, to: job.to, bounds: back, depth, spare: second });
+        stack.push(Job {
+            second_of: Some(at),
+            from: middle,
+            to: job.to,
+            bounds: back,
+            depth,
+            spare: second,
+        });
         stack.push(Job { second_of: None, from, to: middle, bounds: front, depth, spare: first });
     }
     tree
@@ -250,7 +256,8 @@ fn split(items: &mut [Item], depth: u32, spare: usize) -> (usize, [Bounds; 2]) {
         for (bin, other) in bins.as_flattened_mut().iter_mut().zip(others.as_flattened()) {
             bin.add(other.min, other.max);
         }
-        for (count, other) in counts.as_flattened_mut().iter_mut().zip(other_counts.as_flattened()) {
+        for (count, other) in counts.as_flattened_mut().iter_mut().zip(other_counts.as_flattened())
+        {
             *count += other;
         }
     }
@@ -279,7 +286,11 @@ fn split(items: &mut [Item], depth: u32, spare: usize) -> (usize, [Bounds; 2]) {
     if k == 0 || extra(count, n) > spare {
         // The nearest place that costs no block.
         let whole = (count + 2) / LEAF_TRIANGLES * LEAF_TRIANGLES;
-        return part(items, axis, whole.clamp(LEAF_TRIANGLES, (n - 1) / LEAF_TRIANGLES * LEAF_TRIANGLES));
+        return part(
+            items,
+            axis,
+            whole.clamp(LEAF_TRIANGLES, (n - 1) / LEAF_TRIANGLES * LEAF_TRIANGLES),
+        );
     }
     // Without branches: what belongs to the front is swapped there.
     let mut middle = 0;
@@ -374,8 +385,11 @@ impl<'a> Small<'a> {
         }
         let at = self.tree.nodes.len();
         self.tree.nodes.push(inner(&bounds));
-        let division =
-            if n <= LEAF_TRIANGLES && (spare == 0 || n == 1) { None } else { self.split(&bounds, from, to, depth, spare) };
+        let division = if n <= LEAF_TRIANGLES && (spare == 0 || n == 1) {
+            None
+        } else {
+            self.split(&bounds, from, to, depth, spare)
+        };
         let Some((axis, middle)) = division else {
             let first = self.tree.order.len();
             self.tree.nodes[at].at = first as u32;
@@ -393,13 +407,21 @@ impl<'a> Small<'a> {
     }
 
     /// The axis, and how many go to the front; `None` for a leaf.
-    fn split(&self, bounds: &Bounds, from: usize, to: usize, depth: u32, spare: usize) -> Option<(usize, usize)> {
+    fn split(
+        &self,
+        bounds: &Bounds,
+        from: usize,
+        to: usize,
+        depth: u32,
+        spare: usize,
+    ) -> Option<(usize, usize)> {
         let n = to - from;
         let by_count = (n > LEAF_TRIANGLES).then(|| (longest(bounds.max - bounds.min), half(n)));
         if depth >= STEEP {
             return by_count;
         }
-        let most = if n > LEAF_TRIANGLES { f32::INFINITY } else { (1.0 - SPLIT_COST) * bounds.area() };
+        let most =
+            if n > LEAF_TRIANGLES { f32::INFINITY } else { (1.0 - SPLIT_COST) * bounds.area() };
         let mut best = (most, by_count);
         let mut right = [0.0f32; SMALL + 1];
         for axis in 0..3 {

@@ -138,7 +138,8 @@ impl Completing<'_, '_> {
 
     /// Fills a block with its triangles; returns their box.
     fn block(&mut self, node: usize, at: usize, count: usize) -> Result<Bounds, Malformed> {
-        let (Some(block), Some(references)) = (self.blocks.get_mut(at), self.references.get_mut(at))
+        let (Some(block), Some(references)) =
+            (self.blocks.get_mut(at), self.references.get_mut(at))
         else {
             return Err(Malformed(format!("hierarchy node {node} has a block {at}")));
         };
@@ -174,8 +175,10 @@ fn frame(node: &mut BvhNode, boxes: &[Bounds; WIDTH], grown: f64) -> Bounds {
     for b in boxes {
         whole.add(b.min, b.max);
     }
+    let frame =
+        if whole.min.x > whole.max.x { Bounds { min: Vec3::ZERO, max: Vec3::ZERO } } else { whole };
     for axis in 0..3 {
-        let (low, high) = (f64::from(whole.min[axis]) - grown, f64::from(whole.max[axis]) + grown);
+        let (low, high) = (f64::from(frame.min[axis]) - grown, f64::from(frame.max[axis]) + grown);
         let origin = (low as f32).next_down().clamp(f32::MIN, f32::MAX);
         let exponent = exponent((high - f64::from(origin)) / 255.0);
         let per_metre = 1.0 / step(exponent);
