@@ -18,24 +18,26 @@ use crate::ray::has_no_area;
 /// # Errors
 /// When the hierarchy is not one of this mesh.
 pub fn complete_bvh(blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malformed> {
-    let [header, nodes, blocks, references] = sections::split_mut::<SECTIONS>(blob)?;
+    let [header, nodes, blocks] = sections::split_mut::<SECTIONS>(blob)?;
     let [header] = typed::<BvhHeader>(header, "header")? else {
         return Err(Malformed("hierarchy has not one header".into()));
     };
     let nodes = typed::<BvhNode>(nodes, "nodes")?;
     let blocks = typed::<LeafBlock>(blocks, "blocks")?;
-    let references = typed::<[u32; LEAF_TRIANGLES]>(references, "references")?;
-    if blocks.len() != references.len() {
-        let (b, r) = (blocks.len(), references.len());
-        return Err(Malformed(format!("hierarchy has {b} blocks and references for {r}")));
-    }
     if nodes.is_empty() || nodes.len() >= 1 << 28 || blocks.len() >= 1 << 29 {
         let (n, b) = (nodes.len(), blocks.len());
         return Err(Malformed(format!("hierarchy has {n} nodes and {b} blocks")));
     }
-    let grown = GROWN * f64::from(header.delta);
-    let mut completing =
-        Completing { mesh, grown, nodes, blocks, references, next_node: 1, next_block: 0 };
+    let mut completing = Completing {
+        mesh,
+        grown: GROWN * f64::from(header.delta),
+        again: nodes[0].used != 0,
+        nodes,
+        blocks,
+        next_node: 1,
+        next_block: 0,
+        before: 0,
+    };
     completing.node(0, 1)?;
     let Completing { nodes, blocks, next_node, next_block, .. } = completing;
     if next_node != nodes.len() || next_block != blocks.len() {
@@ -54,6 +56,16 @@ where
     let length = bytes.len();
     <[T]>::mut_from_bytes(bytes)
         .map_err(|_| Malformed(format!("{what} of hierarchy have {length} bytes")))
+}
+
+/// The triangle of a mesh that has an index in the scene.
+pub(in super::super) fn local(mesh: &TileMesh<'_>, global: u32) -> Option<u32> {
+    // Most often, nothing is missing between the first and this one.
+    let guess = global.checked_sub(*mesh.global.first()?)? as usize;
+    if mesh.global.get(guess) == Some(&global) {
+        return Some(guess as u32);
+    }
+    mesh.global.binary_search(&global).ok().map(|i| i as u32)
 }
 
 /// The corners of a triangle; not a number if it has no area, as nothing hits that.
@@ -89,9 +101,12 @@ struct Completing<'a, 'm> {
     grown: f64,
     nodes: &'a mut [BvhNode],
     blocks: &'a mut [LeafBlock],
-    references: &'a mut [[u32; LEAF_TRIANGLES]],
+    /// Whether blocks are complete already, and hold the scene's indices.
+    again: bool,
     next_node: usize,
     next_block: usize,
+    /// The triangle in the lane before.
+    before: u32,
 }
 
 impl Completing<'_, '_> {
@@ -138,21 +153,25 @@ impl Completing<'_, '_> {
 
     /// Fills a block with its triangles; returns their box.
     fn block(&mut self, node: usize, at: usize, count: usize) -> Result<Bounds, Malformed> {
-        let (Some(block), Some(references)) =
-            (self.blocks.get_mut(at), self.references.get_mut(at))
-        else {
+        let Some(block) = self.blocks.get_mut(at) else {
             return Err(Malformed(format!("hierarchy node {node} has a block {at}")));
         };
         let mut bounds = Bounds::EMPTY;
-        for (lane, reference) in references.iter_mut().enumerate() {
+        for lane in 0..LEAF_TRIANGLES {
             if lane >= count {
-                *reference = NO_TRIANGLE;
+                block.global[lane] = NO_TRIANGLE;
                 continue;
             }
-            let triangle = *reference;
+            let stored = block.global[lane];
+            let triangle = if self.again {
+                local(self.mesh, stored).unwrap_or(NO_TRIANGLE)
+            } else {
+                self.before.wrapping_add((stored >> 1) ^ (stored & 1).wrapping_neg())
+            };
+            self.before = triangle;
             if triangle >= self.mesh.len() {
                 let n = self.mesh.len();
-                return Err(Malformed(format!("hierarchy lists triangle {triangle} of {n}")));
+                return Err(Malformed(format!("hierarchy block {at} has triangle {triangle} of {n}")));
             }
             let [a, b, c] = self.mesh.corners(triangle);
             bounds.add(a.min(b).min(c), a.max(b).max(c));

@@ -8,12 +8,15 @@ mod binary;
 mod complete;
 mod wide;
 
-use enf_layout::bvh::{BvhHeader, BvhNode, LEAF_TRIANGLES, LeafBlock, WIDTH};
+use enf_layout::bvh::{
+    BvhHeader, BvhNode, LEAF_TRIANGLES, LeafBlock, SECTION_BLOCKS, SECTION_HEADER, SECTION_NODES,
+    SECTIONS, WIDTH,
+};
 use enf_layout::sections::{self, Transform};
 use zerocopy::IntoBytes;
 
 pub use complete::complete_bvh;
-pub(super) use complete::seen_by_rays;
+pub(super) use complete::{local, seen_by_rays};
 
 use crate::mesh::TileMesh;
 
@@ -40,12 +43,11 @@ fn nodes_most(blocks: usize) -> usize {
     blocks * 4 / 7 + 1
 }
 
-fn sizes(nodes: usize, blocks: usize) -> [usize; 4] {
+fn sizes(nodes: usize, blocks: usize) -> [usize; SECTIONS] {
     [
         size_of::<BvhHeader>(),
         nodes * size_of::<BvhNode>(),
         blocks * size_of::<LeafBlock>(),
-        blocks * size_of::<[u32; LEAF_TRIANGLES]>(),
     ]
 }
 
@@ -85,22 +87,31 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
 
     let lengths = sizes(shape.len(), references.len());
     let mut blob = vec![0; sections::blob_bytes(&lengths)];
-    let [head, nodes, blocks, lanes] = lengths;
+    let words = |record: usize| (record / 4) as u32;
     let places = sections::write_table(
         &mut blob,
         &[
-            (head, Transform::None, 0),
-            (nodes, Transform::Planes, (size_of::<BvhNode>() / 4) as u32),
-            (blocks, Transform::None, 0),
-            (lanes, Transform::Delta, 1),
+            (lengths[SECTION_HEADER], Transform::None, 0),
+            (lengths[SECTION_NODES], Transform::Planes, words(size_of::<BvhNode>())),
+            (lengths[SECTION_BLOCKS], Transform::Planes, words(size_of::<LeafBlock>())),
         ],
     );
-    blob[places[0].clone()].copy_from_slice(header.as_bytes());
+    blob[places[SECTION_HEADER].clone()].copy_from_slice(header.as_bytes());
     let child = std::mem::offset_of!(BvhNode, child);
-    let nodes = blob[places[1].clone()].chunks_exact_mut(size_of::<BvhNode>());
+    let nodes = blob[places[SECTION_NODES].clone()].chunks_exact_mut(size_of::<BvhNode>());
     for (node, shape) in nodes.zip(&shape) {
         node[child..child + WIDTH].copy_from_slice(shape);
     }
-    blob[places[3].clone()].copy_from_slice(references.as_bytes());
+    let global = std::mem::offset_of!(LeafBlock, global);
+    let blocks = blob[places[SECTION_BLOCKS].clone()].chunks_exact_mut(size_of::<LeafBlock>());
+    let mut before = 0;
+    for (block, references) in blocks.zip(&references) {
+        let lanes = references.map(|triangle| {
+            let d = triangle.wrapping_sub(before) as i32;
+            before = triangle;
+            ((d << 1) ^ (d >> 31)) as u32
+        });
+        block[global..global + size_of_val(&lanes)].copy_from_slice(lanes.as_bytes());
+    }
     blob
 }
