@@ -20,8 +20,8 @@ pub use enf_layout::bvh::{BvhHeader, BvhNode};
 pub use level::Instructions;
 
 use enf_layout::bvh::{
-    CHILD_INNER, CHILD_NONE, DEPTH, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS,
-    SECTION_HEADER, SECTION_NODES, WIDTH,
+    CHILD_INNER, CHILD_NONE, DEPTH, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS, SECTION_HEADER,
+    SECTION_NODES, WIDTH,
 };
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
@@ -147,7 +147,9 @@ impl<'a> BvhView<'a> {
                         && mesh.materials[triangle as usize] == block.material[lane]
                 });
                 if !same {
-                    return Err(format!("hierarchy block {i} is not as triangle {global} of the scene"));
+                    return Err(format!(
+                        "hierarchy block {i} is not as triangle {global} of the scene"
+                    ));
                 }
             }
         }

@@ -13,6 +13,7 @@ use enf_layout::bvh::{
     SECTIONS, WIDTH,
 };
 use enf_layout::sections::{self, Transform};
+use glam::{Vec4, Vec4Swizzles};
 use zerocopy::IntoBytes;
 
 pub use complete::complete_bvh;
@@ -24,6 +25,31 @@ use crate::mesh::TileMesh;
 const GROWN: f64 = 4.0;
 /// Of so many triangles, one block more than necessary may come.
 const SPARING: usize = 32;
+
+/// A box that grows, m. Its fourth component is of no use.
+#[derive(Clone, Copy)]
+struct Bounds {
+    min: Vec4,
+    max: Vec4,
+}
+
+impl Bounds {
+    const EMPTY: Self = Self { min: Vec4::INFINITY, max: Vec4::NEG_INFINITY };
+
+    #[inline(always)]
+    fn add(&mut self, min: Vec4, max: Vec4) {
+        self.min = min.min(self.min);
+        self.max = max.max(self.max);
+    }
+
+    /// Half its surface, if it is a box.
+    #[inline(always)]
+    fn area(&self) -> f32 {
+        let d = self.max - self.min;
+        let faces = d * d.yzxw();
+        faces.x + faces.y + faces.z
+    }
+}
 
 /// Blocks that so many triangles need.
 fn blocks_needed(triangles: usize) -> usize {
@@ -44,11 +70,7 @@ fn nodes_most(blocks: usize) -> usize {
 }
 
 fn sizes(nodes: usize, blocks: usize) -> [usize; SECTIONS] {
-    [
-        size_of::<BvhHeader>(),
-        nodes * size_of::<BvhNode>(),
-        blocks * size_of::<LeafBlock>(),
-    ]
+    [size_of::<BvhHeader>(), nodes * size_of::<BvhNode>(), blocks * size_of::<LeafBlock>()]
 }
 
 /// Upper bound of the bytes of the blob for a mesh of so many triangles.
@@ -59,10 +81,11 @@ pub fn bvh_bytes_estimate(triangles: u64) -> u64 {
 
 /// Upper bound of the bytes that [`build_bvh`] takes, blob included.
 pub fn bvh_build_bytes(triangles: u64) -> u64 {
-    let blocks = blocks_most(triangles as usize);
-    let dividing = binary::bytes(triangles as usize);
-    let widening = wide::bytes(triangles as usize, blocks);
-    (dividing + widening) as u64 + bvh_bytes_estimate(triangles)
+    let [dividing, tree] = binary::bytes(triangles as usize);
+    let [widening, wide] = wide::bytes(blocks_most(triangles as usize));
+    let writing = wide as u64 + bvh_bytes_estimate(triangles);
+    // And what is on the program's own stack.
+    writing.max(dividing.max(tree + widening) as u64) + (64 << 10)
 }
 
 /// Builds the hierarchy of a mesh for tolerance `delta` (m). The blob depends on the arguments alone, and is complete
@@ -115,3 +138,6 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     }
     blob
 }
+
+#[cfg(test)]
+mod tests;
