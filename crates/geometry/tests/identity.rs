@@ -4,7 +4,7 @@ mod common;
 
 use common::closed::surfaces;
 use common::{Blobs, Corners, Random, Tile};
-use enf_geometry::{NONE, Query, Ray};
+use enf_geometry::{Hit, Instructions, Query, Ray};
 use glam::Vec3;
 
 /// Numbers of queries, and of hits.
@@ -37,12 +37,8 @@ impl Scene {
         let ray = if self.centre == Vec3::ZERO {
             common::ray(random, &self.triangles, self.size)
         } else {
-            let near: Vec<Corners> = (0..1)
-                .map(|_| {
-                    self.triangles[random.below(self.triangles.len())].map(|p| p - self.centre)
-                })
-                .collect();
-            let ray = common::ray(random, &near, self.size);
+            let triangle = self.triangles[random.below(self.triangles.len())];
+            let ray = common::ray(random, &[triangle.map(|p| p - self.centre)], self.size);
             Ray { origin: ray.origin + self.centre, direction: ray.direction }
         };
         let mut query = common::anything(ray);
@@ -66,13 +62,12 @@ impl Scene {
             // A batch of odd length, and what follows: the same rays without the triangles that they hit.
             let n = (1 + random.below(700)).min(count - sum.queries);
             let mut queries: Vec<Query> = Vec::with_capacity(n);
-            let mut truths = Vec::with_capacity(n);
+            let mut truths: Vec<Option<Hit>> = Vec::with_capacity(n);
             for _ in 0..n {
                 let mut query = self.query(&mut random, last);
                 if let (Some(previous), Some(Some(hit)), 0) =
                     (queries.last(), truths.last(), random.below(3))
                 {
-                    let hit: &enf_geometry::Hit = hit;
                     query = Query { t_min: hit.t, exclude: hit.global, ..*previous };
                 }
                 let truth = if force {
