@@ -106,8 +106,11 @@ fn lost(tile: &Tile<'_>, queries: &[Query], round: u64) -> Vec<(&'static str, Qu
     match round % 16 {
         15 => queries
             .iter()
-            .flat_map(|query| tile.ways(query).into_iter().map(|(way, hit)| (way, *query, hit)))
-            .filter_map(|(way, query, hit)| hit.is_none().then_some((way, query)))
+            .flat_map(|query| {
+                let hits = tile.ways(query).into_iter().map(|(way, hit)| (way, hit.is_some()));
+                let ways = hits.chain(tile.shadows(query));
+                ways.filter(|&(_, hit)| !hit).map(|(way, _)| (way, *query))
+            })
             .collect(),
         7 => {
             let missed = |query: &&Query| tile.grid.nearest(query).is_none();

@@ -2,6 +2,7 @@
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 pub mod closed;
+pub mod hard;
 
 use enf_geometry::{
     BvhView, GridView, Hit, Instructions, NONE, Query, Ray, Structure, StructureKind, TileMesh,
