@@ -135,5 +135,5 @@ const LARGEST: f32 = 1e9;
 pub(super) fn reach(header: &BvhHeader, delta: f32) -> f32 {
     let scene = crate::ray::reach(delta);
     let within = scene <= LARGEST && header.min.iter().chain(&header.max).all(|x| x.abs() <= scene);
-    if within && delta > 0.0 && header.triangles > 0 { 4.0 * scene } else { -1.0 }
+    if within && delta > 0.0 { 4.0 * scene } else { -1.0 }
 }
