@@ -4,6 +4,7 @@ mod common;
 
 use common::closed::{AIMS, surfaces};
 use common::{Blobs, Random, anything, spelt};
+use enf_geometry::Instructions;
 
 #[test]
 fn the_surfaces_are_closed() {
@@ -28,10 +29,7 @@ fn no_ray_leaves_a_closed_surface() {
                 assert!(hit.is_some(), "{}", lost("batch"));
                 let (way, hit) = match i % 4 {
                     0 => ("grid", tile.grid.nearest(query)),
-                    1 => (
-                        "portable",
-                        tile.bvh.nearest_with(enf_geometry::Instructions::Portable, query),
-                    ),
+                    1 => ("portable", tile.bvh.nearest_with(Instructions::Portable, query)),
                     _ => ("hierarchy", tile.bvh.nearest(query)),
                 };
                 assert!(hit.is_some(), "{}", lost(way));
