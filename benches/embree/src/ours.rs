@@ -1,0 +1,298 @@
+//! Our side: every call of `enf-geometry` is in this file.
+
+use std::borrow::Cow;
+
+use clap::ValueEnum;
+use enf_geometry::{Malformed, NONE, PreparedRay, Ray, Structure, StructureKind, TileMesh};
+use glam::Vec3;
+
+use crate::scene::{Room, Scene};
+use crate::walk::{Flight, Landing};
+
+pub use enf_geometry::Hit;
+
+/// Structures to choose from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Kind {
+    /// The wide hierarchy
+    Bvh,
+    /// The uniform grid
+    Grid,
+}
+
+impl Kind {
+    /// What to call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Bvh => "bvh",
+            Self::Grid => "grid",
+        }
+    }
+
+    fn structure(self) -> StructureKind {
+        match self {
+            Self::Bvh => StructureKind::Bvh,
+            Self::Grid => StructureKind::Grid,
+        }
+    }
+
+    /// Builds the structure of a tile for tolerance `delta` (m).
+    pub fn build(self, tile: &Tile<'_>, delta: f32) -> Vec<u8> {
+        self.structure().build(&tile.mesh(), delta)
+    }
+}
+
+/// One query.
+#[derive(Clone, Copy, Debug)]
+pub struct Query {
+    /// The ray, m.
+    pub ray: Ray,
+    /// Hits count from here, m.
+    pub t_min: f32,
+    /// Hits count up to here, m.
+    pub t_max: f32,
+    /// Index in the scene of a triangle that does not count, or `NONE`.
+    pub exclude: u32,
+}
+
+impl Query {
+    /// A flight, as we are asked about it.
+    pub fn of(flight: &Flight) -> Self {
+        let ray = Ray { origin: flight.from, direction: flight.direction };
+        Self { ray, t_min: 0.0, t_max: flight.far, exclude: flight.left }
+    }
+
+    /// A flight exactly as Embree is asked about it.
+    pub fn lifted(flight: &Flight) -> Self {
+        let ray = Ray { origin: flight.lifted, direction: flight.direction };
+        Self { ray, t_min: 0.0, t_max: flight.far, exclude: NONE }
+    }
+}
+
+/// A mesh as we hold it.
+#[derive(Debug)]
+pub struct Tile<'s> {
+    vertices: Cow<'s, [[f32; 3]]>,
+    triangles: Cow<'s, [[u32; 3]]>,
+    global: Vec<u32>,
+    materials: Vec<u32>,
+}
+
+impl<'s> Tile<'s> {
+    /// The whole scene, in place.
+    pub fn whole(scene: &'s Scene) -> Self {
+        let count = scene.triangles.len();
+        Self {
+            vertices: scene.vertices.list().into(),
+            triangles: scene.triangles.as_slice().into(),
+            global: (0..count as u32).collect(),
+            materials: vec![0; count],
+        }
+    }
+
+    /// One room, with vertices of its own.
+    pub fn room(scene: &'s Scene, room: &Room) -> Self {
+        let vertices = scene.vertices.list();
+        let mut local = vec![NONE; vertices.len()];
+        let mut own = Vec::new();
+        let range = room.triangles.start as usize..room.triangles.end as usize;
+        let triangles: Vec<[u32; 3]> = scene.triangles[range]
+            .iter()
+            .map(|corners| {
+                corners.map(|v| {
+                    let slot = &mut local[v as usize];
+                    if *slot == NONE {
+                        *slot = own.len() as u32;
+                        own.push(vertices[v as usize]);
+                    }
+                    *slot
+                })
+            })
+            .collect();
+        let materials = vec![0; triangles.len()];
+        let global = room.triangles.clone().collect();
+        Self { vertices: own.into(), triangles: triangles.into(), global, materials }
+    }
+
+    /// What the structure is built over.
+    pub fn mesh(&self) -> TileMesh<'_> {
+        TileMesh {
+            vertices: &self.vertices,
+            triangles: &self.triangles,
+            global: &self.global,
+            materials: &self.materials,
+        }
+    }
+
+    /// Bytes of vertices and vertex indices.
+    pub fn mesh_bytes(&self) -> usize {
+        12 * (self.vertices.len() + self.triangles.len())
+    }
+}
+
+/// A structure and its mesh, ready to be asked.
+pub struct Ours<'a> {
+    structure: Structure<'a>,
+    mesh: TileMesh<'a>,
+    delta: f32,
+}
+
+impl<'a> Ours<'a> {
+    /// Opens what [`Kind::build`] built of the same tile.
+    pub fn open(
+        kind: Kind,
+        blob: &'a [u8],
+        tile: &'a Tile<'_>,
+        delta: f32,
+    ) -> Result<Self, Malformed> {
+        let mesh = tile.mesh();
+        Ok(Self {
+            structure: Structure::from_blob(kind.structure(), blob, mesh.len())?,
+            mesh,
+            delta,
+        })
+    }
+
+    /// The nearest hit.
+    #[inline]
+    pub fn nearest(&self, query: &Query) -> Option<Hit> {
+        let ray = PreparedRay::new(&query.ray);
+        let Query { t_min, t_max, exclude, .. } = *query;
+        self.structure.nearest(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
+    }
+
+    /// The nearest hit, without vector instructions beyond the machine's least. `None` where there is no such way.
+    #[inline]
+    pub fn nearest_portable(&self, query: &Query) -> Option<Hit> {
+        let ray = PreparedRay::new(&query.ray);
+        let Query { t_min, t_max, exclude, .. } = *query;
+        match &self.structure {
+            Structure::Grid(grid) => {
+                grid.nearest(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
+            }
+            Structure::Bvh(bvh) => {
+                bvh.nearest_portable(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
+            }
+        }
+    }
+
+    /// Whether anything is in the way.
+    #[inline]
+    pub fn occluded(&self, query: &Query) -> bool {
+        self.nearest(query).is_some()
+    }
+
+    /// The nearest hits of many.
+    pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        for (query, answer) in queries.iter().zip(answers) {
+            *answer = self.nearest(query);
+        }
+    }
+
+    /// Where a flight lands.
+    pub fn land(&self, flight: &Flight) -> Option<Landing> {
+        self.nearest(&Query::of(flight)).map(|h| Landing { triangle: h.global, u: h.u, v: h.v })
+    }
+}
+
+/// How far a room's queries reach beyond its box, m, so that nothing is lost in rounding. No room has triangles there.
+const REACH: f32 = 1e-3;
+
+/// The queries of flights where each room is asked by itself: a ray that leaves a room by its door asks the next one.
+/// In the order of the flights, room by room; the second number is the flight's.
+pub fn by_rooms(scene: &Scene, whole: &Ours<'_>, flights: &[Flight]) -> Vec<Vec<(Query, u32)>> {
+    let mut queues = vec![Vec::new(); scene.rooms.len()];
+    let room_of =
+        |p: Vec3| scene.rooms.iter().position(|r| r.min.cmple(p).all() && p.cmple(r.max).all());
+    for (i, flight) in flights.iter().enumerate() {
+        let query = Query::of(flight);
+        let end = whole.nearest(&query).map_or(query.t_max, |hit| hit.t);
+        let mut entry = 0.0f32;
+        let mut room = room_of(query.ray.origin);
+        while let Some(r) = room {
+            let exit = exit(&scene.rooms[r], &query.ray).max(entry);
+            let (t_min, t_max) = ((entry - REACH).max(0.0), (exit + REACH).min(query.t_max));
+            queues[r].push((Query { t_min, t_max, ..query }, i as u32));
+            if exit >= end {
+                break;
+            }
+            entry = exit;
+            room = room_of(query.ray.at(exit + REACH)).filter(|&next| next != r);
+        }
+    }
+    queues
+}
+
+/// Where a ray from inside leaves a room's box, m.
+fn exit(room: &Room, ray: &Ray) -> f32 {
+    (0..3)
+        .filter(|&axis| ray.direction[axis] != 0.0)
+        .map(|axis| {
+            let wall = if ray.direction[axis] > 0.0 { room.max } else { room.min };
+            (wall[axis] - ray.origin[axis]) / ray.direction[axis]
+        })
+        .fold(f32::INFINITY, f32::min)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::room::Plan;
+    use crate::walk::Walks;
+
+    /// What rooms answer one by one is what the whole scene answers, to the bit.
+    #[test]
+    fn rooms_answer_as_the_whole_scene_does() {
+        let plan = Plan { name: "four".into(), columns: 2, rows: 2, triangles: 9_000 };
+        let scene = plan.draw();
+        let delta = scene.delta();
+        let tile = Tile::whole(&scene);
+        let blob = Kind::Bvh.build(&tile, delta);
+        let whole = Ours::open(Kind::Bvh, &blob, &tile, delta).unwrap();
+        let flights = Walks::record(&scene, 20_000, 1, |f| whole.land(f)).flights;
+        let queues = by_rooms(&scene, &whole, &flights);
+        let mut answers = vec![None; flights.len()];
+        let mut asked = 0;
+        for (room, queue) in scene.rooms.iter().zip(&queues) {
+            let tile = Tile::room(&scene, room);
+            assert!(tile.mesh().len() > 8_000);
+            let blob = Kind::Bvh.build(&tile, delta);
+            let ours = Ours::open(Kind::Bvh, &blob, &tile, delta).unwrap();
+            asked += queue.len();
+            for (query, flight) in queue {
+                if let Some(hit) = ours.nearest(query) {
+                    answers[*flight as usize] = Some((hit.global, hit.t));
+                }
+            }
+        }
+        // Some rays cross doors, few.
+        assert!((20_100..24_000).contains(&asked), "{asked}");
+        for (flight, answer) in flights.iter().zip(answers) {
+            let expected = whole.nearest(&Query::of(flight)).map(|h| (h.global, h.t));
+            assert_eq!(answer, expected, "{flight:?}");
+        }
+    }
+
+    #[test]
+    fn drawn_rooms_are_tight() {
+        let scene = Plan::named("room12k").unwrap().draw();
+        let tile = Tile::whole(&scene);
+        let blob = Kind::Bvh.build(&tile, scene.delta());
+        let ours = Ours::open(Kind::Bvh, &blob, &tile, scene.delta()).unwrap();
+        let walks = Walks::record(&scene, 100_000, 1, |f| ours.land(f));
+        assert_eq!(walks.escaped, 0);
+        // Furniture is hit more than walls are: the room is furnished.
+        let walls = scene.triangles.iter().filter(|t| {
+            let flat = |axis: usize, at: f32| {
+                t.iter().all(|&v| scene.vertices.list()[v as usize][axis] == at)
+            };
+            flat(2, 0.0)
+                || flat(2, 3.0)
+                || flat(0, 0.0)
+                || flat(0, 8.0)
+                || flat(1, 0.0)
+                || flat(1, 6.0)
+        });
+        assert!(walls.count() < 3_000);
+    }
+}
