@@ -220,8 +220,11 @@ impl Embree {
             // SAFETY: loading Embree runs its initialisers, which ask nothing of the caller. The path is
             // the user's own word that this is Embree.
             match unsafe { Library::new(&path) } {
-                // Never unloaded: function pointers and Embree's threads stay valid.
-                Ok(library) => return Self::bind(Box::leak(Box::new(library)), path),
+                Ok(library) => {
+                    // Never unloaded: function pointers and Embree's threads stay valid.
+                    let library: &'static Library = Box::leak(Box::new(library));
+                    return on_one_cpu(|| Self::bind(library, path));
+                }
                 Err(error) => tried.push(error.to_string()),
             }
         }
@@ -598,6 +601,30 @@ fn scatter<const N: usize>(packet: &Packet<N>, count: usize, each: &mut impl FnM
         let found = Found { t: packet.far[i], triangle: packet.primitive[i] };
         each((packet.geometry[i] != INVALID).then_some(found));
     }
+}
+
+/// Does something with the calling thread on one CPU, where the system can do that.
+///
+/// Embree's task library counts the CPUs when the first device is made, and starts a worker for each further one. With
+/// `threads=1` the worker of embreex 4.4 has nothing to do, and spins for ever: it would take a CPU from both sides.
+#[cfg(target_os = "linux")]
+fn on_one_cpu<T>(work: impl FnOnce() -> T) -> T {
+    use rustix::thread::{CpuSet, sched_getaffinity, sched_getcpu, sched_setaffinity};
+    let allowed = sched_getaffinity(None);
+    let mut one = CpuSet::new();
+    one.set(sched_getcpu());
+    // Where it is refused, nothing is lost but a quiet CPU.
+    let pinned = allowed.is_ok() && sched_setaffinity(None, &one).is_ok();
+    let result = work();
+    if let (true, Ok(allowed)) = (pinned, allowed) {
+        let _ = sched_setaffinity(None, &allowed);
+    }
+    result
+}
+
+#[cfg(not(target_os = "linux"))]
+fn on_one_cpu<T>(work: impl FnOnce() -> T) -> T {
+    work()
 }
 
 /// Where to look, in this order.
