@@ -169,6 +169,13 @@ type One4<R> = unsafe extern "C" fn(Raw, *mut R, Raw);
 type Many3<P> = unsafe extern "C" fn(*const c_int, Raw, *mut Context, *mut P);
 type Many4<P> = unsafe extern "C" fn(*const c_int, Raw, *mut P, Raw);
 type Monitor = unsafe extern "C" fn(Raw, isize, bool) -> bool;
+type NewDevice = unsafe extern "C" fn(*const c_char) -> Raw;
+type LastError = unsafe extern "C" fn(Raw) -> c_int;
+type Property = unsafe extern "C" fn(Raw, c_int) -> isize;
+/// Releases or commits something.
+type Act = unsafe extern "C" fn(Raw);
+/// Sets an enumeration.
+type Set = unsafe extern "C" fn(Raw, c_int);
 type Share = unsafe extern "C" fn(Raw, c_int, c_uint, c_int, *const c_void, usize, usize, usize);
 
 /// The queries, as each version declares them.
@@ -194,21 +201,21 @@ pub struct Embree {
     path: PathBuf,
     version: (isize, isize, isize),
     queries: Queries,
-    new_device: unsafe extern "C" fn(*const c_char) -> Raw,
-    release_device: unsafe extern "C" fn(Raw),
-    device_error: unsafe extern "C" fn(Raw) -> c_int,
+    new_device: NewDevice,
+    release_device: Act,
+    device_error: LastError,
     set_monitor: unsafe extern "C" fn(Raw, Monitor, Raw),
     new_scene: unsafe extern "C" fn(Raw) -> Raw,
-    release_scene: unsafe extern "C" fn(Raw),
-    set_quality: unsafe extern "C" fn(Raw, c_int),
-    set_flags: unsafe extern "C" fn(Raw, c_int),
+    release_scene: Act,
+    set_quality: Set,
+    set_flags: Set,
     new_geometry: unsafe extern "C" fn(Raw, c_int) -> Raw,
-    release_geometry: unsafe extern "C" fn(Raw),
-    set_geometry_quality: unsafe extern "C" fn(Raw, c_int),
+    release_geometry: Act,
+    set_geometry_quality: Set,
     share: Share,
-    commit_geometry: unsafe extern "C" fn(Raw),
+    commit_geometry: Act,
     attach: unsafe extern "C" fn(Raw, Raw) -> c_uint,
-    commit_scene: unsafe extern "C" fn(Raw),
+    commit_scene: Act,
 }
 
 impl Embree {
@@ -247,18 +254,15 @@ impl Embree {
                 .map(|symbol| *symbol)
                 .map_err(|_| EmbreeError::Symbol { path: path.into(), name })
         }
-        // SAFETY (of this and of every `find` below): the types of the fields are those of the headers.
-        let new_device: unsafe extern "C" fn(*const c_char) -> Raw =
-            unsafe { find(library, &path, "rtcNewDevice")? };
-        // SAFETY: as above.
-        let release_device: unsafe extern "C" fn(Raw) =
-            unsafe { find(library, &path, "rtcReleaseDevice")? };
-        // SAFETY: as above.
-        let device_error: unsafe extern "C" fn(Raw) -> c_int =
-            unsafe { find(library, &path, "rtcGetDeviceError")? };
-        // SAFETY: as above.
-        let property: unsafe extern "C" fn(Raw, c_int) -> isize =
-            unsafe { find(library, &path, "rtcGetDeviceProperty")? };
+        // SAFETY (here and below): the types are those of the headers.
+        let (new_device, release_device, device_error, property) = unsafe {
+            (
+                find::<NewDevice>(library, &path, "rtcNewDevice")?,
+                find::<Act>(library, &path, "rtcReleaseDevice")?,
+                find::<LastError>(library, &path, "rtcGetDeviceError")?,
+                find::<Property>(library, &path, "rtcGetDeviceProperty")?,
+            )
+        };
         let device = Device::new(new_device, release_device, device_error)?;
         // SAFETY: the device is alive; versions 3 and 4 have this property.
         let version = unsafe { property(device.handle.as_ptr(), PROPERTY_VERSION) };
@@ -388,18 +392,14 @@ unsafe extern "C" fn count(counter: Raw, bytes: isize, _after: bool) -> bool {
 /// A device of one thread.
 pub struct Device {
     handle: Handle,
-    release: unsafe extern "C" fn(Raw),
-    error: unsafe extern "C" fn(Raw) -> c_int,
+    release: Act,
+    error: LastError,
     /// What Embree holds, by its own account.
     bytes: Box<AtomicIsize>,
 }
 
 impl Device {
-    fn new(
-        new: unsafe extern "C" fn(*const c_char) -> Raw,
-        release: unsafe extern "C" fn(Raw),
-        error: unsafe extern "C" fn(Raw) -> c_int,
-    ) -> Result<Self, EmbreeError> {
+    fn new(new: NewDevice, release: Act, error: LastError) -> Result<Self, EmbreeError> {
         const ONE_THREAD: &CStr = c"threads=1";
         // SAFETY: a string that ends with zero.
         match NonNull::new(unsafe { new(ONE_THREAD.as_ptr()) }) {

@@ -427,10 +427,13 @@ impl Input<'_> {
             ],
         )?;
 
-        let piece = self.args.batch as usize;
+        let batch = self.args.batch as usize;
         let batches = |ours: &Ours<'_>, queries: &[Query]| {
+            // As many for each thread, so that none waits for the last one.
+            let pieces = queries.len().div_ceil(batch).next_multiple_of(threads as usize);
+            let piece = queries.len().div_ceil(pieces.max(1)).max(1);
             spread(threads, queries.len(), piece, |next| {
-                let mut answers = vec![None; piece.min(queries.len())];
+                let mut answers = vec![None; piece];
                 let mut sum = 0.0;
                 while let Some(range) = next() {
                     let answers = &mut answers[..range.len()];
