@@ -48,6 +48,14 @@ pub enum EmbreeError {
         /// Its major version.
         version: isize,
     },
+    /// A mesh that cannot be handed out: Embree would read beyond its end.
+    #[error("triangle {triangle} has a corner beyond the last of {vertices} vertices")]
+    Corner {
+        /// The triangle.
+        triangle: usize,
+        /// How many vertices there are.
+        vertices: usize,
+    },
     /// Embree refused.
     #[error("Embree: {what} failed: {why}")]
     Refused {
@@ -56,6 +64,24 @@ pub enum EmbreeError {
         /// Its error code, in words.
         why: &'static str,
     },
+}
+
+/// A mesh whose indices have been looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Mesh<'m> {
+    vertices: &'m Vertices,
+    triangles: &'m [[u32; 3]],
+}
+
+impl<'m> Mesh<'m> {
+    /// Looks at them.
+    pub fn new(vertices: &'m Vertices, triangles: &'m [[u32; 3]]) -> Result<Self, EmbreeError> {
+        let count = vertices.list().len();
+        match triangles.iter().position(|t| t.iter().any(|&v| v as usize >= count)) {
+            None => Ok(Self { vertices, triangles }),
+            Some(triangle) => Err(EmbreeError::Corner { triangle, vertices: count }),
+        }
+    }
 }
 
 /// How much work to put into a hierarchy.
@@ -254,7 +280,7 @@ impl Embree {
                 .map(|symbol| *symbol)
                 .map_err(|_| EmbreeError::Symbol { path: path.into(), name })
         }
-        // SAFETY (here and below): the types are those of the headers.
+        // SAFETY: here and below, the types are those of the headers.
         let (new_device, release_device, device_error, property) = unsafe {
             (
                 find::<NewDevice>(library, &path, "rtcNewDevice")?,
@@ -331,12 +357,11 @@ impl Embree {
         Ok(device)
     }
 
-    /// Builds the hierarchy of a mesh, on the calling thread. Indices must be in range.
+    /// Builds the hierarchy of a mesh, on the calling thread.
     pub fn build<'m>(
         &self,
         device: &'m Device,
-        vertices: &'m Vertices,
-        triangles: &'m [[u32; 3]],
+        mesh: Mesh<'m>,
         quality: Quality,
     ) -> Result<Scene<'m>, EmbreeError> {
         let (level, flags) = match quality {
@@ -344,11 +369,11 @@ impl Embree {
             Quality::High => (QUALITY_HIGH, 0),
             Quality::Compact => (QUALITY_MEDIUM, FLAG_COMPACT),
         };
-        let list = vertices.list();
+        let (list, triangles) = (mesh.vertices.list(), mesh.triangles);
         let before = device.bytes.load(Ordering::Relaxed);
         // SAFETY: handles are used as the headers say, each alive until it is released, and checked for null. The
-        // arrays have the formats, strides and counts that are told, and live for 'm, longer than the scene; behind the last
-        // vertex four more bytes can be read (`Vertices`), which Embree wants.
+        // arrays have the formats, strides and counts that are told, indices are in range (`Mesh`), and all live for 'm,
+        // longer than the scene; behind the last vertex four more bytes can be read (`Vertices`), which Embree wants.
         let handle = unsafe {
             let scene = NonNull::new((self.new_scene)(device.handle.as_ptr()))
                 .ok_or_else(|| device.error("a new scene"))?;
@@ -631,6 +656,10 @@ fn on_one_cpu<T>(work: impl FnOnce() -> T) -> T {
 fn candidates(asked: Option<&Path>) -> Vec<PathBuf> {
     match asked {
         Some(path) if path.is_dir() => return libraries(path),
+        // Without a slash, the loader would not look here.
+        Some(path) if path.is_file() => {
+            return vec![std::path::absolute(path).unwrap_or_else(|_| path.to_owned())];
+        }
         Some(path) => return vec![path.to_owned()],
         None => {}
     }
@@ -700,23 +729,32 @@ mod tests {
         std::fs::remove_dir(&empty).unwrap();
     }
 
+    #[test]
+    fn a_corner_that_is_not_there_never_gets_to_embree() {
+        let vertices = Vertices::new(vec![[0.0; 3]; 3]);
+        let error = Mesh::new(&vertices, &[[0, 1, 2], [0, 1, 3]]).unwrap_err();
+        assert_eq!(error.to_string(), "triangle 1 has a corner beyond the last of 3 vertices");
+    }
+
     /// Needs an Embree; says so where there is none.
     #[test]
     fn a_square_is_hit_where_it_is() {
         let asked = std::env::var_os("EMBREE_LIBRARY").map(PathBuf::from);
         let embree = match Embree::load(asked.as_deref()) {
             Ok(embree) => embree,
-            Err(error) => {
-                eprintln!("SKIPPED: {error}");
+            Err(EmbreeError::Missing { tried }) if asked.is_none() => {
+                eprintln!("SKIPPED: no Embree to ask: {tried}");
                 return;
             }
+            Err(error) => panic!("{error}"),
         };
         let vertices =
             Vertices::new(vec![[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [1.0, 1.0, 2.0], [0.0, 1.0, 2.0]]);
         let triangles = [[0, 1, 2], [0, 2, 3]];
+        let mesh = Mesh::new(&vertices, &triangles).unwrap();
         for quality in [Quality::Medium, Quality::High, Quality::Compact] {
             let device = embree.device().unwrap();
-            let scene = embree.build(&device, &vertices, &triangles, quality).unwrap();
+            let scene = embree.build(&device, mesh, quality).unwrap();
             assert!(scene.bytes() > 0 && scene.bytes() < 1 << 20, "{}", scene.bytes());
             // (x, y), and what is hit from z = 0 upwards.
             let beams: Vec<(Beam, Option<Found>)> = (0..37)

@@ -31,7 +31,7 @@ use enf_geometry::Malformed;
 
 use crate::args::Args;
 use crate::check::{Agreement, beam};
-use crate::embree::{Beam, Embree, EmbreeError, Quality};
+use crate::embree::{Beam, Embree, EmbreeError, Mesh, Quality};
 use crate::measure::{Contender, Group, spread};
 use crate::ours::{Hit, Kind, Ours, Query, Tile, by_rooms};
 use crate::report::{Table, Verdict};
@@ -178,7 +178,8 @@ fn bench(
 
     // Embree's hierarchies, and what everything takes.
     let device = embree.device()?;
-    let build = |quality| embree.build(&device, &scene.vertices, &scene.triangles, quality);
+    let mesh = Mesh::new(&scene.vertices, &scene.triangles)?;
+    let build = |quality| embree.build(&device, mesh, quality);
     let medium = build(Quality::Medium)?;
     let high = build(Quality::High)?;
     let mut sizes: Vec<(String, usize)> =
@@ -219,7 +220,7 @@ fn bench(
         ));
     }
 
-    let mut groups = vec![builds(args, scene, &tile, embree)?];
+    let mut groups = vec![builds(args, scene, &tile, embree, mesh)?];
     let input = Input {
         args,
         ours: &ours,
@@ -332,7 +333,13 @@ fn rooms<'a>(
 }
 
 /// Builds, each with one thread.
-fn builds(args: &Args, scene: &Scene, tile: &Tile<'_>, embree: &Embree) -> Result<Group, Failure> {
+fn builds(
+    args: &Args,
+    scene: &Scene,
+    tile: &Tile<'_>,
+    embree: &Embree,
+    mesh: Mesh<'_>,
+) -> Result<Group, Failure> {
     let delta = scene.delta();
     // One device for each, so that nobody builds in what another left.
     let devices = [embree.device()?, embree.device()?, embree.device()?];
@@ -347,9 +354,8 @@ fn builds(args: &Args, scene: &Scene, tile: &Tile<'_>, embree: &Embree) -> Resul
         ("Embree, compact", Quality::Compact),
     ];
     for ((name, quality), device) in qualities.into_iter().zip(&devices) {
-        contenders.push(Contender::fallible(name, move || {
-            Ok(embree.build(device, &scene.vertices, &scene.triangles, quality)?)
-        }));
+        contenders
+            .push(Contender::fallible(name, move || Ok(embree.build(device, mesh, quality)?)));
     }
     Group::run("build, triangles", scene.triangles.len(), 1, args.repetitions, &contenders)
 }

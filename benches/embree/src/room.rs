@@ -769,6 +769,19 @@ mod tests {
         }
     }
 
+    /// The same bits everywhere: figures of two machines are about one room.
+    #[test]
+    fn rooms_are_frozen() {
+        let digest = |scene: &Scene| {
+            let words = scene.vertices.list().iter().flatten().map(|x| x.to_bits());
+            let words = words.chain(scene.triangles.iter().flatten().copied());
+            words.fold(0, |hash: u64, word| mix(hash ^ u64::from(word)))
+        };
+        let two = Plan { name: "two".into(), columns: 2, rows: 1, triangles: 20_000 };
+        let digests = [Plan::named("room12k").unwrap(), two].map(|plan| digest(&plan.draw()));
+        assert_eq!(digests, [0x5182_AE28_AF54_C7EA, 0xF053_7334_BB00_32F4], "{digests:#018X?}");
+    }
+
     #[test]
     fn vertices_are_shared_and_irregular() {
         let scene = Plan::named("room60k").unwrap().draw();

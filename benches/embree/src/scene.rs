@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use glam::Vec3;
 
 /// Vertices in m, one more in memory than there are: Embree reads 16 bytes at each.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Vertices(Vec<[f32; 3]>);
 
 impl Vertices {
