@@ -22,7 +22,7 @@ pub struct Args {
     pub scene: Vec<PathBuf>,
 
     /// Rays of each kind (k and M are thousands and millions)
-    #[arg(long, value_parser = count, default_value = "1M")]
+    #[arg(long, value_parser = rays, default_value = "1M")]
     pub rays: u64,
 
     /// Repetitions of every measurement, after one that does not count
@@ -72,6 +72,14 @@ pub fn count(text: &str) -> Result<u64, String> {
     }
 }
 
+/// A number of rays: what fits into memory several times over.
+fn rays(text: &str) -> Result<u64, String> {
+    match count(text)? {
+        n @ 1000..=100_000_000 => Ok(n),
+        n => Err(format!("{n} rays: 1k to 100M")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -81,6 +89,8 @@ mod tests {
         assert_eq!(count("12"), Ok(12));
         assert_eq!(count("60k"), Ok(60_000));
         assert_eq!(count("2M"), Ok(2_000_000));
+        assert_eq!(rays("1M"), Ok(1_000_000));
+        assert!(rays("999").is_err() && rays("101M").is_err());
         for bad in ["", "k", "0", "-1", "1.5M", "99999999999999999G", "ä"] {
             assert!(count(bad).is_err(), "{bad}");
         }

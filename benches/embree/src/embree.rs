@@ -93,6 +93,8 @@ pub enum Quality {
     High,
     /// Medium, with `RTC_SCENE_FLAG_COMPACT`: leaves refer to the mesh.
     Compact,
+    /// Medium, with `RTC_SCENE_FLAG_ROBUST`: watertight, as ours are.
+    Robust,
 }
 
 /// A ray for Embree.
@@ -189,6 +191,7 @@ const PROPERTY_VERSION: c_int = 0;
 const QUALITY_MEDIUM: c_int = 1;
 const QUALITY_HIGH: c_int = 2;
 const FLAG_COMPACT: c_int = 2;
+const FLAG_ROBUST: c_int = 4;
 
 type One3<R> = unsafe extern "C" fn(Raw, *mut Context, *mut R);
 type One4<R> = unsafe extern "C" fn(Raw, *mut R, Raw);
@@ -368,6 +371,7 @@ impl Embree {
             Quality::Medium => (QUALITY_MEDIUM, 0),
             Quality::High => (QUALITY_HIGH, 0),
             Quality::Compact => (QUALITY_MEDIUM, FLAG_COMPACT),
+            Quality::Robust => (QUALITY_MEDIUM, FLAG_ROBUST),
         };
         let (list, triangles) = (mesh.vertices.list(), mesh.triangles);
         let before = device.bytes.load(Ordering::Relaxed);
@@ -752,7 +756,7 @@ mod tests {
             Vertices::new(vec![[0.0, 0.0, 2.0], [1.0, 0.0, 2.0], [1.0, 1.0, 2.0], [0.0, 1.0, 2.0]]);
         let triangles = [[0, 1, 2], [0, 2, 3]];
         let mesh = Mesh::new(&vertices, &triangles).unwrap();
-        for quality in [Quality::Medium, Quality::High, Quality::Compact] {
+        for quality in [Quality::Medium, Quality::High, Quality::Compact, Quality::Robust] {
             let device = embree.device().unwrap();
             let scene = embree.build(&device, mesh, quality).unwrap();
             assert!(scene.bytes() > 0 && scene.bytes() < 1 << 20, "{}", scene.bytes());

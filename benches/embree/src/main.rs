@@ -6,13 +6,14 @@
 //! | [`walk`] | which rays? |
 //! | [`ours`], [`embree`] | who is asked? |
 //! | [`check`] | do both say the same? |
-//! | [`clock`], [`measure`] | how long did it take? |
+//! | [`contest`], [`measure`], [`clock`] | who does what, and how long does it take? |
 //! | [`args`], [`report`] | what is typed, and what is read? |
 #![deny(unsafe_code)]
 
 mod args;
 mod check;
 mod clock;
+mod contest;
 mod embree;
 mod measure;
 mod ours;
@@ -30,9 +31,10 @@ use clap::Parser;
 use enf_geometry::Malformed;
 
 use crate::args::Args;
-use crate::check::{Agreement, beam};
-use crate::embree::{Beam, Embree, EmbreeError, Mesh, Quality};
-use crate::measure::{Contender, Group, spread};
+use crate::check::Agreement;
+use crate::contest::{Input, PACKETS_SORTED, RoomQueue, builds};
+use crate::embree::{Embree, EmbreeError, Mesh, Quality};
+use crate::measure::Group;
 use crate::ours::{Hit, Kind, Ours, Query, Tile, by_rooms};
 use crate::report::{Table, Verdict};
 use crate::room::Plan;
@@ -131,12 +133,6 @@ impl<'t, 's> Built<'t, 's> {
     }
 }
 
-/// A room with its structure and its queue.
-struct RoomQueue<'a> {
-    ours: Ours<'a>,
-    queries: Vec<Query>,
-}
-
 /// Measures one scene.
 fn bench(
     args: &Args,
@@ -182,6 +178,7 @@ fn bench(
     let build = |quality| embree.build(&device, mesh, quality);
     let medium = build(Quality::Medium)?;
     let high = build(Quality::High)?;
+    let robust = build(Quality::Robust)?;
     let mut sizes: Vec<(String, usize)> =
         built.iter().map(|b| (format!("ours, {}", b.kind.name()), b.blob.len())).collect();
     sizes.push(("Embree, medium".into(), medium.bytes()));
@@ -225,7 +222,7 @@ fn bench(
         args,
         ours: &ours,
         rooms: &rooms,
-        embree: [&medium, &high],
+        embree: [&medium, &high, &robust],
         random: &random,
         walk: &walks.flights,
         neat: &neat,
@@ -248,14 +245,14 @@ fn bench(
 fn bytes(scene: &Scene, tile: &Tile<'_>, sizes: &[(String, usize)], table: &mut Table) {
     let triangles = scene.triangles.len();
     let head = format!(
-        "  {:<48} {:>9}   {:>26}",
+        "  {:<58} {:>9}   {:>26}",
         "bytes a triangle", "structure", "with vertices and indices"
     );
     say(&head);
     for (name, size) in sizes {
         let alone = *size as f64 / triangles as f64;
         let together = (size + tile.mesh_bytes()) as f64 / triangles as f64;
-        say(&format!("    {name:<46} {alone:>9.1}   {together:>26.1}"));
+        say(&format!("    {name:<56} {alone:>9.1}   {together:>26.1}"));
         let id = (scene.name.as_str(), triangles);
         table.figure(id, "structure", name, "bytes a triangle", alone);
         table.figure(id, "structure, vertices and indices", name, "bytes a triangle", together);
@@ -332,224 +329,14 @@ fn rooms<'a>(
     }
 }
 
-/// Builds, each with one thread.
-fn builds(
-    args: &Args,
-    scene: &Scene,
-    tile: &Tile<'_>,
-    embree: &Embree,
-    mesh: Mesh<'_>,
-) -> Result<Group, Failure> {
-    let delta = scene.delta();
-    // One device for each, so that nobody builds in what another left.
-    let devices = [embree.device()?, embree.device()?, embree.device()?];
-    let mut contenders: Vec<Contender<Failure>> = Vec::new();
-    for &kind in &args.structures {
-        let name = format!("ours, {}", kind.name());
-        contenders.push(Contender::new(name, move || kind.build(tile, delta)));
-    }
-    let qualities = [
-        ("Embree, medium", Quality::Medium),
-        ("Embree, high", Quality::High),
-        ("Embree, compact", Quality::Compact),
-    ];
-    for ((name, quality), device) in qualities.into_iter().zip(&devices) {
-        contenders
-            .push(Contender::fallible(name, move || Ok(embree.build(device, mesh, quality)?)));
-    }
-    Group::run("build, triangles", scene.triangles.len(), 1, args.repetitions, &contenders)
-}
-
-/// Rays that single queries are handed out in.
-const PIECE: usize = 8192;
-
-/// Names of Embree's packets on sorted rays begin with this.
-const PACKETS_SORTED: &str = "Embree, packets on sorted rays";
-
-/// What queries are measured with.
-struct Input<'i> {
-    args: &'i Args,
-    ours: &'i [Ours<'i>],
-    rooms: &'i [RoomQueue<'i>],
-    /// Medium, high.
-    embree: [&'i embree::Scene<'i>; 2],
-    random: &'i [Flight],
-    walk: &'i [Flight],
-    neat: &'i [Flight],
-    shadows: &'i [Flight],
-}
-
-impl Input<'_> {
-    /// All groups of queries with so many threads.
-    fn queries(&self, threads: u32) -> Result<Vec<Group>, Failure> {
-        let queries = |flights: &[Flight]| flights.iter().map(Query::of).collect::<Vec<_>>();
-        let beams = |flights: &[Flight]| flights.iter().map(beam).collect::<Vec<_>>();
-        let random = (queries(self.random), beams(self.random));
-        let walk = (queries(self.walk), beams(self.walk));
-        let shadows = (queries(self.shadows), beams(self.shadows));
-        let neat = beams(self.neat);
-        let [medium, high] = self.embree;
-        let kinds = || self.args.structures.iter().zip(self.ours);
-        let mut groups = Vec::new();
-        let mut measure = |name: &str, contenders: &[Contender<Failure>]| {
-            let count = self.random.len();
-            let group = Group::run(name, count, threads, self.args.repetitions, contenders)?;
-            groups.push(group);
-            Ok::<(), Failure>(())
-        };
-
-        let mut contenders = Vec::new();
-        for (kind, ours) in kinds() {
-            let name = format!("ours, {}", kind.name());
-            contenders
-                .push(Contender::new(name, || single(threads, &random.0, |q| ours.nearest(q))));
-        }
-        if let Some((kind, ours)) = kinds().next() {
-            let name = format!("ours, {}, portable", kind.name());
-            let ask = || single(threads, &random.0, |q| ours.nearest_portable(q));
-            contenders.push(Contender::new(name, ask));
-        }
-        if !self.rooms.is_empty() {
-            contenders.push(Contender::new("ours, room by room", || {
-                let ask =
-                    |room: &RoomQueue| single(threads, &room.queries, |q| room.ours.nearest(q));
-                self.rooms.iter().map(ask).sum::<f64>()
-            }));
-        }
-        for (name, scene) in
-            [("Embree, rtcIntersect1", medium), ("Embree, rtcIntersect1, high", high)]
-        {
-            let ask = || embree_single(threads, &random.1, scene);
-            contenders.push(Contender::new(name, ask));
-        }
-        measure("nearest hits, one by one, shuffled rays", &contenders)?;
-
-        let ours = &self.ours[0];
-        measure(
-            "nearest hits, one by one, in the photons' order",
-            &[
-                Contender::new("ours", || single(threads, &walk.0, |q| ours.nearest(q))),
-                Contender::new("Embree, rtcIntersect1", || embree_single(threads, &walk.1, medium)),
-            ],
-        )?;
-
-        let batch = self.args.batch as usize;
-        let batches = |ours: &Ours<'_>, queries: &[Query]| {
-            // As many for each thread, so that none waits for the last one.
-            let pieces = queries.len().div_ceil(batch).next_multiple_of(threads as usize);
-            let piece = queries.len().div_ceil(pieces.max(1)).max(1);
-            spread(threads, queries.len(), piece, |next| {
-                let mut answers = vec![None; piece];
-                let mut sum = 0.0;
-                while let Some(range) = next() {
-                    let answers = &mut answers[..range.len()];
-                    ours.nearest_batch(&queries[range], answers);
-                    sum += answers.iter().flatten().map(|hit| f64::from(hit.t)).sum::<f64>();
-                }
-                sum
-            })
-        };
-        let batches = &batches;
-        let mut contenders = Vec::new();
-        for (kind, ours) in kinds() {
-            let name = format!("ours, {}, batches of shuffled rays", kind.name());
-            contenders.push(Contender::new(name, || batches(ours, &random.0)));
-        }
-        let ordered = || batches(&self.ours[0], &walk.0);
-        contenders.push(Contender::new("ours, batches in the photons' order", ordered));
-        if !self.rooms.is_empty() {
-            contenders.push(Contender::new("ours, batches, room by room", || {
-                self.rooms.iter().map(|room| batches(&room.ours, &room.queries)).sum::<f64>()
-            }));
-        }
-        for (order, beams) in [("sorted", &neat), ("shuffled", &random.1)] {
-            let name = |n: u32| format!("Embree, packets on {order} rays, rtcIntersect{n}");
-            contenders.push(Contender::new(name(8), || {
-                packets(threads, beams, |beams, sum| {
-                    medium.nearest8(beams, |found| *sum += found.map_or(0.0, |f| f64::from(f.t)));
-                })
-            }));
-            contenders.push(Contender::new(name(16), || {
-                packets(threads, beams, |beams, sum| {
-                    medium.nearest16(beams, |found| *sum += found.map_or(0.0, |f| f64::from(f.t)));
-                })
-            }));
-        }
-        let ask = || embree_single(threads, &neat, medium);
-        contenders.push(Contender::new("Embree, sorted rays, rtcIntersect1", ask));
-        measure("nearest hits, many at a time", &contenders)?;
-
-        let mut contenders = Vec::new();
-        for (kind, ours) in kinds() {
-            let name = format!("ours, {}", kind.name());
-            let ask = || any(threads, &shadows.0, |q| ours.occluded(q));
-            contenders.push(Contender::new(name, ask));
-        }
-        for (name, scene) in
-            [("Embree, rtcOccluded1", medium), ("Embree, rtcOccluded1, high", high)]
-        {
-            let ask = || any(threads, &shadows.1, |beam| scene.occluded(beam));
-            contenders.push(Contender::new(name, ask));
-        }
-        measure("shadow rays, one by one, shuffled", &contenders)?;
-        Ok(groups)
-    }
-}
-
-/// Asks for nearest hits one by one; the sum of their distances.
-fn single(threads: u32, queries: &[Query], nearest: impl Fn(&Query) -> Option<Hit> + Sync) -> f64 {
-    spread(threads, queries.len(), PIECE, |next| {
-        let mut sum = 0.0;
-        while let Some(range) = next() {
-            for query in &queries[range] {
-                sum += nearest(query).map_or(0.0, |hit| f64::from(hit.t));
-            }
-        }
-        sum
-    })
-}
-
-/// The same of Embree.
-fn embree_single(threads: u32, beams: &[Beam], scene: &embree::Scene<'_>) -> f64 {
-    spread(threads, beams.len(), PIECE, |next| {
-        let mut sum = 0.0;
-        while let Some(range) = next() {
-            for beam in &beams[range] {
-                sum += scene.nearest(beam).map_or(0.0, |found| f64::from(found.t));
-            }
-        }
-        sum
-    })
-}
-
-/// The same of Embree's packets.
-fn packets(threads: u32, beams: &[Beam], ask: impl Fn(&[Beam], &mut f64) + Sync) -> f64 {
-    spread(threads, beams.len(), PIECE, |next| {
-        let mut sum = 0.0;
-        while let Some(range) = next() {
-            ask(&beams[range], &mut sum);
-        }
-        sum
-    })
-}
-
-/// Asks whether anything is in the way, one by one; how often.
-fn any<Q: Sync>(threads: u32, questions: &[Q], occluded: impl Fn(&Q) -> bool + Sync) -> f64 {
-    spread(threads, questions.len(), PIECE, |next| {
-        let mut count = 0u32;
-        while let Some(range) = next() {
-            count += questions[range].iter().map(|q| u32::from(occluded(q))).sum::<u32>();
-        }
-        f64::from(count)
-    })
-}
-
 /// What is asked first about a scene: ours against Embree's own default, and, where another of its ways is harder to beat,
 /// against that.
 fn verdict(scene: &Scene, threads: u32, build: &Group, queries: &[Group]) -> Verdict {
     let mut ratios = Vec::new();
     let mut add = |what, group: &Group, of: &str| {
-        let fair = group.hardest(|name| name.starts_with(of) && !name.ends_with("high"));
+        let fair = group.hardest(|name| {
+            name.starts_with(of) && !name.contains(", high") && !name.contains(", robust")
+        });
         let best = group.hardest(|name| name.starts_with("Embree"));
         for k in fair.into_iter().chain(best.filter(|_| best != fair)) {
             ratios.push((what, group.series[k].name.clone(), group.ratio(k)));

@@ -87,14 +87,14 @@ pub fn readable(group: &Group) -> String {
         if group.threads == 1 { "1 thread" } else { &format!("{} threads", group.threads) };
     let head = format!("{}, {threads}", group.measure);
     let mut text = format!(
-        "  {head:<48} {:>8} {:>8}   {:>9} {:>7}   {:>6}\n",
+        "  {head:<58} {:>8} {:>8}   {:>9} {:>7}   {:>6}\n",
         "M/s", "by CPU", "ours/this", "by CPU", "others"
     );
     for (k, series) in group.series.iter().enumerate() {
         let rate = group.rate(k);
         let _ = write!(
             text,
-            "    {:<46} {:>8.3} {:>8.3}",
+            "    {:<56} {:>8.3} {:>8.3}",
             series.name,
             rate.wall / 1e6,
             rate.cpu / 1e6
