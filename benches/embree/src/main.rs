@@ -217,7 +217,12 @@ fn bench(
         ));
     }
 
-    let mut groups = vec![builds(args, scene, &tile, embree, mesh)?];
+    let mut keep = |group: &Group| {
+        table.group(id, group);
+        say(&report::readable(group));
+    };
+    let build = builds(args, scene, &tile, embree, mesh)?;
+    keep(&build);
     let input = Input {
         args,
         ours: &ours,
@@ -231,12 +236,8 @@ fn bench(
     let mut verdicts = Vec::new();
     for &threads in &args.threads {
         let measured = input.queries(threads)?;
-        verdicts.push(verdict(scene, threads, &groups[0], &measured));
-        groups.extend(measured);
-    }
-    for group in &groups {
-        table.group(id, group);
-        say(&report::readable(group));
+        measured.iter().for_each(&mut keep);
+        verdicts.push(verdict(scene, threads, &build, &measured));
     }
     Ok(verdicts)
 }
@@ -268,19 +269,10 @@ fn same_among_ours(
 ) -> Result<(), Failure> {
     let queries: Vec<Query> = flights.iter().map(Query::of).collect();
     let expected: Vec<Option<Hit>> = queries.iter().map(|query| ours[0].nearest(query)).collect();
-    let compare = |name: String, answers: &[Option<Hit>]| match answers
-        .iter()
-        .zip(&expected)
-        .filter(|(a, b)| a != b)
-        .count()
-    {
-        0 => Ok(()),
-        count => Err(Failure::Unequal {
-            scene: scene.name.clone(),
-            ours: name,
-            reference: args.structures[0].name().into(),
-            count,
-        }),
+    let compare = |ours: String, answers: &[Option<Hit>]| {
+        let count = answers.iter().zip(&expected).filter(|(a, b)| a != b).count();
+        let (scene, reference) = (scene.name.clone(), args.structures[0].name().to_owned());
+        if count == 0 { Ok(()) } else { Err(Failure::Unequal { scene, ours, reference, count }) }
     };
     for (kind, ours) in args.structures.iter().zip(ours) {
         let single: Vec<Option<Hit>> = queries.iter().map(|query| ours.nearest(query)).collect();
@@ -304,6 +296,9 @@ fn rooms<'a>(
     queues: &[Vec<(Query, u32)>],
 ) -> Result<Vec<RoomQueue<'a>>, Failure> {
     let mut rooms = Vec::with_capacity(built.len());
+    if built.is_empty() {
+        return Ok(rooms);
+    }
     let mut answers: Vec<Option<(u32, f32)>> = vec![None; flights.len()];
     for (built, queue) in built.iter().zip(queues) {
         let ours = built.open(scene)?;
@@ -314,11 +309,10 @@ fn rooms<'a>(
         }
         rooms.push(RoomQueue { ours, queries: queue.iter().map(|(query, _)| *query).collect() });
     }
-    let differ = |(flight, answer): (&Flight, Option<(u32, f32)>)| {
-        whole.nearest(&Query::of(flight)).map(|hit| (hit.global, hit.t)) != answer
+    let differ = |(flight, answer): &(&Flight, Option<(u32, f32)>)| {
+        whole.nearest(&Query::of(flight)).map(|hit| (hit.global, hit.t)) != *answer
     };
-    match flights.iter().zip(answers).filter(|&(f, a)| !built.is_empty() && differ((f, a))).count()
-    {
+    match flights.iter().zip(answers).filter(differ).count() {
         0 => Ok(rooms),
         count => Err(Failure::Unequal {
             scene: scene.name.clone(),
