@@ -3,7 +3,7 @@
 use std::fmt;
 
 use crate::embree::{self, Beam, Found};
-use crate::ours::{Hit, Ours, Query};
+use crate::ours::{Ours, query, query_as_embree};
 use crate::walk::Flight;
 
 /// Hits farther apart than this along the ray, m (or this share of its length), are different.
@@ -45,21 +45,22 @@ impl Agreement {
         let mut sum = Self { rays: flights.len(), shadows: shadows.len(), ..Self::default() };
         for flight in flights {
             let found = embree.nearest(&beam(flight));
-            sum.compare(ours.nearest(&Query::lifted(flight)), found);
-            let own = ours.nearest(&Query::of(flight));
+            let same = ours.nearest(&query_as_embree(flight));
+            sum.compare(same.map(|h| Found { t: h.t, triangle: h.global }), found);
+            let own = ours.nearest(&query(flight));
             sum.same_as_measured += usize::from(own.map(|h| h.global) == found.map(|f| f.triangle));
         }
         for flight in shadows {
-            let own = ours.occluded(&Query::lifted(flight));
+            let own = ours.occluded(&query_as_embree(flight));
             sum.same_shadows += usize::from(own == embree.occluded(&beam(flight)));
         }
         sum
     }
 
-    fn compare(&mut self, ours: Option<Hit>, embree: Option<Found>) {
+    fn compare(&mut self, ours: Option<Found>, embree: Option<Found>) {
         match (ours, embree) {
             (None, None) => self.same += 1,
-            (Some(a), Some(b)) if a.global == b.triangle => self.same += 1,
+            (Some(a), Some(b)) if a.triangle == b.triangle => self.same += 1,
             (Some(a), Some(b)) if (a.t - b.t).abs() <= NEAR * b.t.max(1.0) => self.near += 1,
             (Some(_), Some(_)) => {}
             (Some(_), None) => self.ours_only += 1,
@@ -113,14 +114,13 @@ mod tests {
 
     #[test]
     fn what_counts_as_the_same() {
-        let hit = |t, global| Some(Hit { t, triangle: 0, global, u: 0.0, v: 0.0 });
         let found = |t, triangle| Some(Found { t, triangle });
         let mut sum = Agreement { rays: 6, ..Agreement::default() };
         sum.compare(None, None);
-        sum.compare(hit(2.0, 7), found(2.1, 7));
-        sum.compare(hit(2.0, 7), found(2.0001, 8));
-        sum.compare(hit(2.0, 7), found(2.1, 8));
-        sum.compare(hit(2.0, 7), None);
+        sum.compare(found(2.0, 7), found(2.1, 7));
+        sum.compare(found(2.0, 7), found(2.0001, 8));
+        sum.compare(found(2.0, 7), found(2.1, 8));
+        sum.compare(found(2.0, 7), None);
         sum.compare(None, found(1.0, 0));
         assert_eq!((sum.same, sum.near, sum.ours_only, sum.embree_only), (2, 1, 1, 1));
         assert!((sum.apart() - 0.5).abs() < 1e-12 && !sum.tolerable());

@@ -5,7 +5,7 @@ use crate::args::Args;
 use crate::check::beam;
 use crate::embree::{self, Beam, Embree, Mesh, Quality};
 use crate::measure::{Contender, Group, spread};
-use crate::ours::{Hit, Ours, Query, Tile};
+use crate::ours::{Hit, Ours, Query, Tile, query};
 use crate::scene::Scene;
 use crate::walk::Flight;
 
@@ -74,7 +74,7 @@ pub struct Input<'i> {
 impl Input<'_> {
     /// All groups of queries with so many threads.
     pub fn queries(&self, threads: u32) -> Result<Vec<Group>, Failure> {
-        let queries = |flights: &[Flight]| flights.iter().map(Query::of).collect::<Vec<_>>();
+        let queries = |flights: &[Flight]| flights.iter().map(query).collect::<Vec<_>>();
         let beams = |flights: &[Flight]| flights.iter().map(beam).collect::<Vec<_>>();
         let random = (queries(self.random), beams(self.random));
         let walk = (queries(self.walk), beams(self.walk));

@@ -35,7 +35,7 @@ use crate::check::Agreement;
 use crate::contest::{Input, PACKETS_SORTED, RoomQueue, builds};
 use crate::embree::{Embree, EmbreeError, Mesh, Quality};
 use crate::measure::Group;
-use crate::ours::{Hit, Kind, Ours, Query, Tile, by_rooms};
+use crate::ours::{Hit, Kind, Ours, Query, Tile, by_rooms, query};
 use crate::report::{Table, Verdict};
 use crate::room::Plan;
 use crate::scene::{Scene, SceneError};
@@ -267,7 +267,7 @@ fn same_among_ours(
     ours: &[Ours<'_>],
     flights: &[Flight],
 ) -> Result<(), Failure> {
-    let queries: Vec<Query> = flights.iter().map(Query::of).collect();
+    let queries: Vec<Query> = flights.iter().map(query).collect();
     let expected: Vec<Option<Hit>> = queries.iter().map(|query| ours[0].nearest(query)).collect();
     let compare = |ours: String, answers: &[Option<Hit>]| {
         let count = answers.iter().zip(&expected).filter(|(a, b)| a != b).count();
@@ -310,7 +310,7 @@ fn rooms<'a>(
         rooms.push(RoomQueue { ours, queries: queue.iter().map(|(query, _)| *query).collect() });
     }
     let differ = |(flight, answer): &(&Flight, Option<(u32, f32)>)| {
-        whole.nearest(&Query::of(flight)).map(|hit| (hit.global, hit.t)) != *answer
+        whole.nearest(&query(flight)).map(|hit| (hit.global, hit.t)) != *answer
     };
     match flights.iter().zip(answers).filter(differ).count() {
         0 => Ok(rooms),

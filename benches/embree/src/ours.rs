@@ -55,18 +55,16 @@ pub struct Query {
     pub exclude: u32,
 }
 
-impl Query {
-    /// A flight, as we are asked about it.
-    pub fn of(flight: &Flight) -> Self {
-        let ray = Ray { origin: flight.from, direction: flight.direction };
-        Self { ray, t_min: 0.0, t_max: flight.far, exclude: flight.left }
-    }
+/// A flight, as we are asked about it.
+pub fn query(flight: &Flight) -> Query {
+    let ray = Ray { origin: flight.from, direction: flight.direction };
+    Query { ray, t_min: 0.0, t_max: flight.far, exclude: flight.left }
+}
 
-    /// A flight exactly as Embree is asked about it.
-    pub fn lifted(flight: &Flight) -> Self {
-        let ray = Ray { origin: flight.lifted, direction: flight.direction };
-        Self { ray, t_min: 0.0, t_max: flight.far, exclude: NONE }
-    }
+/// A flight, exactly as Embree is asked about it.
+pub fn query_as_embree(flight: &Flight) -> Query {
+    let ray = Ray { origin: flight.lifted, direction: flight.direction };
+    Query { ray, t_min: 0.0, t_max: flight.far, exclude: NONE }
 }
 
 /// A mesh as we hold it.
@@ -191,7 +189,7 @@ impl<'a> Ours<'a> {
 
     /// Where a flight lands.
     pub fn land(&self, flight: &Flight) -> Option<Landing> {
-        self.nearest(&Query::of(flight)).map(|h| Landing { triangle: h.global, u: h.u, v: h.v })
+        self.nearest(&query(flight)).map(|h| Landing { triangle: h.global, u: h.u, v: h.v })
     }
 }
 
@@ -205,7 +203,7 @@ pub fn by_rooms(scene: &Scene, whole: &Ours<'_>, flights: &[Flight]) -> Vec<Vec<
     let room_of =
         |p: Vec3| scene.rooms.iter().position(|r| r.min.cmple(p).all() && p.cmple(r.max).all());
     for (i, flight) in flights.iter().enumerate() {
-        let query = Query::of(flight);
+        let query = query(flight);
         let end = whole.nearest(&query).map_or(query.t_max, |hit| hit.t);
         let mut entry = 0.0f32;
         let mut room = room_of(query.ray.origin);
@@ -268,7 +266,7 @@ mod tests {
         // Some rays cross doors, few.
         assert!((20_100..24_000).contains(&asked), "{asked}");
         for (flight, answer) in flights.iter().zip(answers) {
-            let expected = whole.nearest(&Query::of(flight)).map(|h| (h.global, h.t));
+            let expected = whole.nearest(&query(flight)).map(|h| (h.global, h.t));
             assert_eq!(answer, expected, "{flight:?}");
         }
     }
