@@ -1,4 +1,4 @@
-//! Rays per second in a furnished room, grid and hierarchy in turn: `ray_bench [triangles] [rays]`.
+//! Rays per second in a furnished room, each structure and way of asking in turn: `ray_bench [triangles] [rays]`.
 //!
 //! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes.
 //! Rays are incoherent: diffuse bounces from random places, one after the other, as photons are.
@@ -6,7 +6,8 @@
 use std::time::Instant;
 
 use enf_geometry::{
-    BvhView, GridView, NONE, PreparedRay, Ray, TileMesh, build_bvh, build_grid, grid_bytes_estimate,
+    BvhView, GridView, Hit, NONE, Query, Ray, TileMesh, build_bvh, build_grid, complete_bvh,
+    grid_bytes_estimate,
 };
 use enf_layout::codec;
 use glam::Vec3;
@@ -100,7 +101,7 @@ fn main() {
     let grid_blob = build_grid(&mesh, delta);
     let built = start.elapsed();
     let start = Instant::now();
-    let grid = GridView::from_blob(&grid_blob, mesh.len()).expect("a grid that was just built");
+    let grid = GridView::from_blob(&grid_blob, mesh, delta).expect("a grid that was just built");
     println!(
         "grid: {} bytes ({:.0}% of the estimate), built in {built:?}, checked in {:?}",
         grid_blob.len(),
@@ -110,15 +111,18 @@ fn main() {
     println!("{:?}", grid.header());
 
     let start = Instant::now();
-    let bvh_blob = build_bvh(&mesh, delta);
+    let stored_bvh = build_bvh(&mesh, delta);
     let built = start.elapsed();
+    let mut bvh_blob = stored_bvh.clone();
+    complete_bvh(&mut bvh_blob, &mesh).expect("a hierarchy that was just built");
     let start = Instant::now();
-    let bvh = BvhView::from_blob(&bvh_blob, mesh.len()).expect("a hierarchy that was just built");
+    let bvh = BvhView::from_blob(&bvh_blob, &mesh, delta).expect("a hierarchy that was just built");
     println!(
-        "hierarchy: {} bytes ({:.1} a triangle), {} nodes, built in {built:?}, checked in {:?}",
+        "hierarchy: {} bytes ({:.1} a triangle), {} nodes, {} blocks, built in {built:?}, checked in {:?}",
         bvh_blob.len(),
         bvh_blob.len() as f64 / mesh.len() as f64,
         bvh.node_count(),
+        bvh.block_count(),
         start.elapsed()
     );
 
@@ -131,60 +135,61 @@ fn main() {
         "on disk, bytes a triangle: mesh {:.2}, grid {:.2}, hierarchy {:.2}",
         stored(&blob),
         stored(&grid_blob),
-        stored(&bvh_blob)
+        stored(&stored_bvh)
     );
 
     // Walks of photons, written down.
-    let mut walks: Vec<(Ray, u32)> = Vec::with_capacity(rays);
+    let mut walks: Vec<Query> = Vec::with_capacity(rays);
     let mut origin = Vec3::new(10.0, 7.5, 2.0);
-    let mut last = NONE;
+    let mut last: Option<Hit> = None;
     let directions: Vec<Vec3> = (0..1 << 16).map(|_| random.direction()).collect();
     for i in 0..rays {
         let mut direction = directions[i & 0xFFFF];
-        if last != NONE {
-            let normal = mesh.geometric_normal(last);
-            if normal.dot(direction) * normal.dot(origin - Vec3::new(10.0, 7.5, 2.0)) > 0.0 {
+        if let Some(hit) = last {
+            let [a, b, c] = bvh.corners(hit.slot);
+            let normal = (b - a).cross(c - a);
+            if normal.dot(direction) * normal.dot(Vec3::new(10.0, 7.5, 2.0) - origin) < 0.0 {
                 direction = -direction;
             }
         }
-        let ray = Ray { origin, direction };
-        walks.push((ray, last));
-        match bvh.nearest(&mesh, &PreparedRay::new(&ray), 0.0, f32::INFINITY, last, delta) {
-            Some(hit) if i % 17 != 0 => {
-                origin = ray.at(hit.t);
-                last = hit.global;
-            }
-            _ => {
-                origin = random.in_box(Vec3::new(20.0, 15.0, 4.0));
-                last = NONE;
-            }
-        }
+        let exclude = last.map_or(NONE, |hit| hit.global);
+        let query =
+            Query { ray: Ray { origin, direction }, t_min: 0.0, t_max: f32::INFINITY, exclude };
+        walks.push(query);
+        last = bvh.nearest(&query).filter(|_| i % 17 != 0);
+        origin = match last {
+            Some(hit) => query.ray.at(hit.t),
+            None => random.in_box(Vec3::new(20.0, 15.0, 4.0)),
+        };
     }
-    type Nearest<'a> = &'a dyn Fn(&PreparedRay, u32) -> Option<enf_geometry::Hit>;
-    let ways: [(&str, Nearest<'_>); 3] = [
-        ("grid", &|ray, last| grid.nearest(&mesh, ray, 0.0, f32::INFINITY, last, delta)),
-        ("hierarchy", &|ray, last| bvh.nearest(&mesh, ray, 0.0, f32::INFINITY, last, delta)),
-        ("hierarchy, portable", &|ray, last| {
-            bvh.nearest_portable(&mesh, ray, 0.0, f32::INFINITY, last, delta)
+    type Ask<'a> = &'a dyn Fn(&[Query], &mut [Option<Hit>]);
+    let one_by_one =
+        |nearest: &dyn Fn(&Query) -> Option<Hit>, q: &[Query], a: &mut [Option<Hit>]| {
+            for (query, answer) in q.iter().zip(a) {
+                *answer = nearest(query);
+            }
+        };
+    let ways: [(&str, Ask<'_>); 4] = [
+        ("grid", &|q, a| one_by_one(&|query| grid.nearest(query), q, a)),
+        ("hierarchy", &|q, a| one_by_one(&|query| bvh.nearest(query), q, a)),
+        ("hierarchy, portable", &|q, a| {
+            one_by_one(&|query| bvh.nearest_with(Instructions::Portable, query), q, a)
         }),
+        ("hierarchy, batches", &|q, a| bvh.nearest_batch(q, a)),
     ];
     // In turn, so that what else the machine does falls on all of them; medians.
-    let mut times = [const { Vec::new() }; 3];
-    let mut sums = [0.0f64; 3];
+    let mut times = [const { Vec::new() }; 4];
+    let mut answers = vec![vec![None; rays]; 4];
     for _ in 0..5 {
-        for (k, (_, nearest)) in ways.iter().enumerate() {
+        for (k, (_, ask)) in ways.iter().enumerate() {
             let start = Instant::now();
-            let mut length = 0.0;
-            for (ray, last) in &walks {
-                if let Some(hit) = nearest(&PreparedRay::new(ray), *last) {
-                    length += f64::from(hit.t);
-                }
+            for (q, a) in walks.chunks(4096).zip(answers[k].chunks_mut(4096)) {
+                ask(q, a);
             }
-            sums[k] = length;
             times[k].push(start.elapsed().as_secs_f64());
         }
     }
-    assert!(sums[0] == sums[1] && sums[1] == sums[2], "not the same hits: {sums:?}");
+    assert!(answers.iter().all(|a| *a == answers[0]), "not the same hits");
     for ((name, _), times) in ways.iter().zip(&mut times) {
         times.sort_by(f64::total_cmp);
         let median = times[times.len() / 2];

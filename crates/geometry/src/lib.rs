@@ -28,10 +28,12 @@ pub mod ray;
 pub mod structure;
 
 pub use aabb::Aabb;
-pub use bvh::{BvhHeader, BvhView, build_bvh, bvh_build_bytes, bvh_bytes_estimate};
+pub use bvh::{
+    BvhHeader, BvhView, Instructions, build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh,
+};
 pub use enf_layout::{NONE, sections::Malformed};
 pub use grid::{GridHeader, GridView, build_grid, grid_build_bytes, grid_bytes_estimate};
 pub use mesh::TileMesh;
-pub use query::nearest_by_force;
+pub use query::{Query, nearest_by_force};
 pub use ray::{Hit, PreparedRay, Ray, intersect};
 pub use structure::{Structure, StructureKind, structure_bytes_estimate};

@@ -2,10 +2,13 @@
 
 use enf_layout::sections::Malformed;
 
+use glam::Vec3;
+
 use crate::bvh::{self, BvhView};
 use crate::grid::{self, GridView};
 use crate::mesh::TileMesh;
-use crate::ray::{Hit, PreparedRay};
+use crate::query::Query;
+use crate::ray::Hit;
 
 /// The kinds of structures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,11 +20,23 @@ pub enum StructureKind {
 }
 
 impl StructureKind {
-    /// Builds the structure of a mesh for tolerance `delta` (m). The blob depends on the arguments alone.
+    /// Builds the structure of a mesh for tolerance `delta` (m), as it is stored: [`StructureKind::complete`] makes it
+    /// ready. The blob depends on the arguments alone.
     pub fn build(self, mesh: &TileMesh, delta: f32) -> Vec<u8> {
         match self {
             Self::Grid => grid::build_grid(mesh, delta),
             Self::Bvh => bvh::build_bvh(mesh, delta),
+        }
+    }
+
+    /// Fills in what a stored structure leaves to its mesh: once, after building or loading.
+    ///
+    /// # Errors
+    /// When the structure is not one of this mesh.
+    pub fn complete(self, blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malformed> {
+        match self {
+            Self::Grid => Ok(()),
+            Self::Bvh => bvh::complete_bvh(blob, mesh),
         }
     }
 
@@ -49,40 +64,74 @@ pub enum Structure<'a> {
 }
 
 impl<'a> Structure<'a> {
-    /// Reads a blob (4-byte aligned) for a mesh of `triangle_count` triangles, every index in it checked.
+    /// Reads a blob (4-byte aligned), to be asked about the mesh that it was built for with a tolerance not above the
+    /// one that it was built for (m). Every index in it is checked.
     pub fn from_blob(
         kind: StructureKind,
         blob: &'a [u8],
-        triangle_count: u32,
+        mesh: TileMesh<'a>,
+        delta: f32,
     ) -> Result<Self, Malformed> {
         Ok(match kind {
-            StructureKind::Grid => Self::Grid(GridView::from_blob(blob, triangle_count)?),
-            StructureKind::Bvh => Self::Bvh(BvhView::from_blob(blob, triangle_count)?),
+            StructureKind::Grid => Self::Grid(GridView::from_blob(blob, mesh, delta)?),
+            StructureKind::Bvh => Self::Bvh(BvhView::from_blob(blob, &mesh, delta)?),
         })
     }
 
-    /// A blob that [`Structure::from_blob`] has accepted before.
-    pub fn from_checked_blob(kind: StructureKind, blob: &'a [u8]) -> Result<Self, Malformed> {
-        Ok(match kind {
-            StructureKind::Grid => Self::Grid(GridView::from_checked_blob(blob)?),
-            StructureKind::Bvh => Self::Bvh(BvhView::from_checked_blob(blob)?),
-        })
-    }
-
-    /// The canonical hit with the smallest `(t, global)` among those with `t_min <= t < t_max` (m) on
-    /// triangles other than `exclude`: the same bits from either structure.
-    pub fn nearest(
-        &self,
-        mesh: &TileMesh,
-        ray: &PreparedRay,
-        t_min: f32,
-        t_max: f32,
-        exclude: u32,
-        delta: f32,
-    ) -> Option<Hit> {
+    /// The canonical hit with the smallest `(t, global)` among those that the query admits: the same bits from
+    /// either structure.
+    pub fn nearest(&self, query: &Query) -> Option<Hit> {
         match self {
-            Self::Grid(grid) => grid.nearest(mesh, ray, t_min, t_max, exclude, delta),
-            Self::Bvh(bvh) => bvh.nearest(mesh, ray, t_min, t_max, exclude, delta),
+            Self::Grid(grid) => grid.nearest(query),
+            Self::Bvh(bvh) => bvh.nearest(query),
+        }
+    }
+
+    /// Whether the query admits any hit.
+    pub fn occluded(&self, query: &Query) -> bool {
+        match self {
+            Self::Grid(grid) => grid.occluded(query),
+            Self::Bvh(bvh) => bvh.occluded(query),
+        }
+    }
+
+    /// [`Structure::occluded`] of many queries at once, for as many answers: the same, sooner.
+    pub fn occluded_batch(&self, queries: &[Query], answers: &mut [bool]) {
+        match self {
+            Self::Grid(grid) => {
+                for (query, answer) in queries.iter().zip(answers) {
+                    *answer = grid.occluded(query);
+                }
+            }
+            Self::Bvh(bvh) => bvh.occluded_batch(queries, answers),
+        }
+    }
+
+    /// [`Structure::nearest`] of many queries at once, for as many answers: the same, sooner.
+    pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        match self {
+            Self::Grid(grid) => {
+                for (query, answer) in queries.iter().zip(answers) {
+                    *answer = grid.nearest(query);
+                }
+            }
+            Self::Bvh(bvh) => bvh.nearest_batch(queries, answers),
+        }
+    }
+
+    /// Corners of the triangle of a hit of this structure, m; by [`Hit::slot`].
+    pub fn corners(&self, slot: u32) -> [Vec3; 3] {
+        match self {
+            Self::Grid(grid) => grid.corners(slot),
+            Self::Bvh(bvh) => bvh.corners(slot),
+        }
+    }
+
+    /// Its material.
+    pub fn material(&self, slot: u32) -> u32 {
+        match self {
+            Self::Grid(grid) => grid.material(slot),
+            Self::Bvh(bvh) => bvh.material(slot),
         }
     }
 }

@@ -2,16 +2,14 @@
 
 mod common;
 
-use common::{Corners, Random, blob, delta};
+use common::{Blobs, Corners, KINDS, Random, anything, blob, delta};
 use enf_geometry::{
-    BvhView, GridView, NONE, PreparedRay, Ray, Structure, StructureKind, TileMesh, build_bvh,
-    build_grid, bvh_bytes_estimate, grid_bytes_estimate, nearest_by_force,
+    NONE, Query, Ray, Structure, StructureKind, TileMesh, bvh_bytes_estimate, grid_bytes_estimate,
+    structure_bytes_estimate,
 };
 use enf_layout::codec;
 use glam::Vec3;
 use proptest::prelude::*;
-
-const KINDS: [StructureKind; 2] = [StructureKind::Grid, StructureKind::Bvh];
 
 fn compare(
     triangles: &[Corners],
@@ -20,45 +18,42 @@ fn compare(
     seed: u64,
 ) -> usize {
     let mut random = Random(seed);
-    let mesh_blob = blob(triangles);
-    let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
-    let grid_blob = build_grid(&mesh, delta);
-    assert!(grid_blob.len() as u64 <= grid_bytes_estimate(triangles.len() as u64));
-    let grid = GridView::from_blob(&grid_blob, mesh.len()).unwrap();
-    let bvh_blob = build_bvh(&mesh, delta);
-    assert!(bvh_blob.len() as u64 <= bvh_bytes_estimate(triangles.len() as u64));
-    let bvh = BvhView::from_blob(&bvh_blob, mesh.len()).unwrap();
+    let blobs = Blobs::new(triangles, delta);
+    let n = triangles.len() as u64;
+    let [grid, bvh] = blobs.structures.each_ref().map(|blob| blob.len() as u64);
+    assert!(grid <= grid_bytes_estimate(n) && bvh <= bvh_bytes_estimate(n), "{grid} {bvh}");
+    assert!(grid.max(bvh) <= structure_bytes_estimate(n));
+    let tile = blobs.tile();
+    let (mut queries, mut truths) = (Vec::new(), Vec::new());
     let mut hits = 0;
     for ray in rays {
-        let prepared = PreparedRay::new(&ray);
-        let (mut from, mut to, mut exclude) = (0.0, f32::INFINITY, NONE);
+        let (mut t_min, mut t_max, mut exclude) = (0.0, f32::INFINITY, NONE);
         // Walk through everything on the way, as transport does, with a few odd intervals.
         for round in 0..6 {
-            let truth = nearest_by_force(&mesh, &prepared, from, to, exclude, delta);
-            let found = grid.nearest(&mesh, &prepared, from, to, exclude, delta);
-            assert_eq!(found, truth, "{ray:?} in [{from}, {to}) without {exclude}");
-            let by_bvh = bvh.nearest(&mesh, &prepared, from, to, exclude, delta);
-            assert_eq!(by_bvh, truth, "{ray:?} in [{from}, {to}) without {exclude}");
-            let portable = bvh.nearest_portable(&mesh, &prepared, from, to, exclude, delta);
-            assert_eq!(portable, truth, "{ray:?} in [{from}, {to}) without {exclude}");
-            match found {
+            let query = Query { ray, t_min, t_max, exclude };
+            let truth = tile.by_force(&query);
+            tile.check(&query, truth);
+            queries.push(query);
+            truths.push(truth);
+            match truth {
                 Some(hit) => {
                     hits += 1;
                     exclude = hit.global;
-                    from = if random.below(3) == 0 { hit.t.next_up() } else { hit.t };
+                    t_min = if random.below(3) == 0 { hit.t.next_up() } else { hit.t };
                     if round == 2 {
-                        to = from + 10.0 * random.unit();
+                        t_max = t_min + 10.0 * random.unit();
                     }
                 }
                 None => {
-                    (from, to, exclude) = (f32::NEG_INFINITY, f32::INFINITY, NONE);
+                    (t_min, t_max, exclude) = (f32::NEG_INFINITY, f32::INFINITY, NONE);
                     if random.below(2) == 0 {
-                        to = 10.0 * random.unit();
+                        t_max = 10.0 * random.unit();
                     }
                 }
             }
         }
     }
+    tile.check_batch(&queries, &truths);
     hits
 }
 
@@ -127,20 +122,18 @@ fn a_big_tessellated_room_agrees_too() {
 fn ties_go_to_the_smaller_global_index() {
     let wall = [Vec3::ZERO, 4.0 * Vec3::X, 4.0 * Vec3::Y];
     let turned = [wall[1], wall[2], wall[0]];
-    let mesh_blob = blob(&[turned, wall, wall, turned]);
-    let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
-    let delta = delta(4.0);
+    let blobs = Blobs::new(&[turned, wall, wall, turned], delta(4.0));
+    let mesh = TileMesh::from_blob(&blobs.mesh).unwrap();
     let ray = Ray { origin: Vec3::new(1.0, 1.0, 2.0), direction: Vec3::NEG_Z };
-    let ray = PreparedRay::new(&ray);
-    for kind in KINDS {
-        let blob = kind.build(&mesh, delta);
-        let structure = Structure::from_blob(kind, &blob, 4).unwrap();
-        let nearest = |exclude| structure.nearest(&mesh, &ray, 0.0, 9.0, exclude, delta).unwrap();
+    for (kind, blob) in KINDS.into_iter().zip(&blobs.structures) {
+        let structure = Structure::from_blob(kind, blob, mesh, blobs.delta).unwrap();
+        let ask = |t_min, t_max, exclude| structure.nearest(&Query { ray, t_min, t_max, exclude });
+        let nearest = |exclude| ask(0.0, 9.0, exclude).unwrap();
         assert_eq!((nearest(NONE).global, nearest(NONE).t), (1, 2.0));
         assert_eq!(nearest(1).global, 4);
         // The interval is half open.
-        assert!(structure.nearest(&mesh, &ray, 0.0, 2.0, NONE, delta).is_none());
-        assert!(structure.nearest(&mesh, &ray, 2.0, 9.0, NONE, delta).is_some());
+        assert!(ask(0.0, 2.0, NONE).is_none());
+        assert!(ask(2.0, 9.0, NONE).is_some());
     }
 }
 
@@ -158,56 +151,155 @@ fn odd_rays_and_meshes_are_harmless() {
     ];
     let x = [0.0, -0.0, 1.0, 1e-45, -1e-30, f32::NAN, f32::INFINITY, f32::MAX];
     for mesh_blob in &meshes {
-        let mesh = TileMesh::from_blob(mesh_blob).unwrap();
         for delta in [0.0, 1e-4, f32::NAN, f32::MAX] {
-            let blobs = KINDS.map(|kind| kind.build(&mesh, delta));
-            let [grid, bvh] =
-                [0, 1].map(|k| Structure::from_blob(KINDS[k], &blobs[k], mesh.len()).unwrap());
+            let mesh = TileMesh::from_blob(mesh_blob).unwrap();
+            if delta.is_nan() {
+                for kind in KINDS {
+                    let blob = common::complete(kind, &mesh, delta);
+                    assert!(Structure::from_blob(kind, &blob, mesh, delta).is_err());
+                    assert!(Structure::from_blob(kind, &blob, mesh, 1e-45).is_err());
+                    assert!(Structure::from_blob(kind, &blob, mesh, 0.0).is_ok());
+                }
+                continue;
+            }
+            let blobs = Blobs::of_mesh(mesh_blob.clone(), delta);
+            let tile = blobs.tile();
+            let (mut queries, mut truths) = (Vec::new(), Vec::new());
             for i in 0..512 {
                 let pick = |k: usize| x[(i >> (3 * k)) & 7];
                 let d = Vec3::new(pick(0), pick(1), pick(2));
-                let o = Vec3::new(pick(2), 0.5, pick(1));
+                let origin = Vec3::new(pick(2), 0.5, pick(1));
                 for direction in [d, -d] {
-                    let ray = PreparedRay::new(&Ray { origin: o, direction });
-                    for (from, to) in
+                    let ray = Ray { origin, direction };
+                    for (t_min, t_max) in
                         [(0.0, 1.0), (f32::NEG_INFINITY, f32::INFINITY), (f32::NAN, f32::NAN)]
                     {
-                        let truth = nearest_by_force(&mesh, &ray, from, to, NONE, delta);
-                        assert_eq!(grid.nearest(&mesh, &ray, from, to, NONE, delta), truth);
-                        assert_eq!(bvh.nearest(&mesh, &ray, from, to, NONE, delta), truth);
+                        let query = Query { ray, t_min, t_max, exclude: NONE };
+                        let truth = tile.by_force(&query);
+                        tile.check(&query, truth);
+                        queries.push(query);
+                        truths.push(truth);
                     }
                 }
             }
+            tile.check_batch(&queries, &truths);
         }
     }
     assert!(empty.is_empty());
 }
 
-/// Every byte of a blob, flipped: rejected, or walked without leaving it.
+/// Every byte of a blob, flipped in the store or in memory: rejected, or walked without leaving it.
 #[test]
 fn a_corrupt_structure_is_rejected_or_harmless() {
     let mut random = Random(21);
     let triangles = common::zoo(&mut random, 12, 4.0);
+    let tolerance = delta(4.0);
     let mesh_blob = blob(&triangles);
     let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
-    let rays: Vec<_> =
-        (0..8).map(|_| PreparedRay::new(&common::ray(&mut random, &triangles, 4.0))).collect();
-    for kind in KINDS {
-        let good = kind.build(&mesh, delta(4.0));
-        for at in 0..good.len() {
-            let mut bad = good.clone();
-            bad[at] ^= 1 << random.below(8);
-            if let Ok(structure) = Structure::from_blob(kind, &bad, mesh.len()) {
-                for ray in &rays {
-                    structure.nearest(&mesh, ray, 0.0, f32::INFINITY, NONE, delta(4.0));
-                }
+    let queries: Vec<_> =
+        (0..8).map(|_| anything(common::ray(&mut random, &triangles, 4.0))).collect();
+    let walk = |kind, blob: &[u8]| {
+        let Ok(structure) = Structure::from_blob(kind, blob, mesh, tolerance) else { return false };
+        for query in &queries {
+            structure.nearest(query);
+            if let Structure::Bvh(bvh) = structure {
+                bvh.nearest_with(enf_geometry::Instructions::Portable, query);
             }
         }
+        if let Structure::Bvh(bvh) = structure {
+            bvh.nearest_batch(&queries, &mut vec![None; queries.len()]);
+        }
+        true
+    };
+    for kind in KINDS {
+        let stored = kind.build(&mesh, tolerance);
+        let mut good = stored.clone();
+        kind.complete(&mut good, &mesh).unwrap();
+        assert!(walk(kind, &good));
+        if kind == StructureKind::Bvh {
+            assert!(!walk(kind, &stored), "a hierarchy without its triangles");
+        }
+        let (mut refused, mut completed) = ([0, 0], 0);
+        for at in 0..good.len() {
+            let bit = 1 << random.below(8);
+            // Flipped where it was stored: loading completes it, if it can.
+            let mut bad = stored.clone();
+            bad[at] ^= bit;
+            if kind.complete(&mut bad, &mesh).is_ok() {
+                completed += 1;
+                refused[0] += usize::from(!walk(kind, &bad));
+            } else {
+                assert!(!walk(kind, &bad), "byte {at}: accepted, though it could not be completed");
+            }
+            // Flipped afterwards.
+            let mut bad = good.clone();
+            bad[at] ^= bit;
+            refused[1] += usize::from(!walk(kind, &bad));
+        }
+        assert!(completed > good.len() / 2 && refused[0] > 0 && refused[1] > good.len() / 8);
         // The last 63 bytes may be padding.
         for length in 0..good.len() - 63 {
-            assert!(Structure::from_blob(kind, &good[..length], mesh.len()).is_err());
+            let mut short = stored[..length].to_vec();
+            // Whether or not it finds its places, it must not be taken for whole.
+            let _ = kind.complete(&mut short, &mesh);
+            assert!(!walk(kind, &short), "{length} bytes of {}", good.len());
+            assert!(!walk(kind, &good[..length]), "{length} bytes of {}", good.len());
         }
-        assert!(Structure::from_blob(kind, &good, mesh.len() + 1).is_err());
+        // Of another mesh, or for another tolerance.
+        let mut others = triangles.clone();
+        others.push([Vec3::ZERO, Vec3::X, Vec3::Y]);
+        let more = blob(&others);
+        let more = TileMesh::from_blob(&more).unwrap();
+        assert!(Structure::from_blob(kind, &good, more, tolerance).is_err());
+        let fewer = blob(&triangles[1..]);
+        let fewer = TileMesh::from_blob(&fewer).unwrap();
+        assert!(Structure::from_blob(kind, &good, fewer, tolerance).is_err());
+        if kind == StructureKind::Bvh {
+            assert!(kind.complete(&mut stored.clone(), &fewer).is_err());
+        }
+        for wrong in [tolerance.next_up(), f32::INFINITY, f32::NAN] {
+            assert!(Structure::from_blob(kind, &good, mesh, wrong).is_err(), "{wrong}");
+        }
+        assert!(Structure::from_blob(kind, &good, mesh, 0.5 * tolerance).is_ok());
+    }
+}
+
+/// A hierarchy holds copies of the triangles: those of another mesh of the same size must not pass for them.
+#[test]
+fn a_hierarchy_of_a_mesh_that_has_changed_is_refused() {
+    let mut random = Random(22);
+    let triangles = common::zoo(&mut random, 40, 4.0);
+    let blobs = Blobs::new(&triangles, delta(4.0));
+    let good = &blobs.structures[1];
+    for i in 0..triangles.len() {
+        let mut moved = triangles.clone();
+        moved[i][random.below(3)].x += 0.5;
+        let flat = |[a, b, c]: Corners| (b - a).cross(c - a) == Vec3::ZERO;
+        if flat(triangles[i]) || flat(moved[i]) {
+            continue;
+        }
+        let mesh = blob(&moved);
+        let mesh = TileMesh::from_blob(&mesh).unwrap();
+        let opened = Structure::from_blob(StructureKind::Bvh, good, mesh, blobs.delta);
+        assert!(opened.is_err(), "triangle {i}");
+        // Completed from what it is asked about, it is a hierarchy of that mesh, though its boxes may be wrong.
+        let mut again = good.clone();
+        StructureKind::Bvh.complete(&mut again, &mesh).unwrap();
+        assert!(Structure::from_blob(StructureKind::Bvh, &again, mesh, blobs.delta).is_ok());
+    }
+}
+
+/// Completing twice is completing once: what is loaded may have been complete already.
+#[test]
+fn completing_depends_on_the_mesh_alone() {
+    let triangles = common::zoo(&mut Random(23), 200, 4.0);
+    let blobs = Blobs::new(&triangles, delta(4.0));
+    let mesh = TileMesh::from_blob(&blobs.mesh).unwrap();
+    for (kind, blob) in KINDS.into_iter().zip(&blobs.structures) {
+        let mut again = blob.clone();
+        kind.complete(&mut again, &mesh).unwrap();
+        assert_eq!(&again, blob);
+        assert_eq!(kind.build(&mesh, blobs.delta), kind.build(&mesh, blobs.delta));
     }
 }
 

@@ -5,7 +5,8 @@
 //! |---|---|---|
 //! | [`SECTION_HEADER`] | [`BvhHeader`] | one |
 //! | [`SECTION_NODES`] | [`BvhNode`] | node 0 is the root; a node's inner children follow each other, after it |
-//! | [`SECTION_REFERENCES`] | `u32` | triangles of the tile (indices into its mesh), each once, leaf by leaf |
+//! | [`SECTION_BLOCKS`] | [`LeafBlock`] | one for each leaf |
+//! | [`SECTION_REFERENCES`] | `u32` | four for each block: triangles of the tile (indices into its mesh), each once; [`NO_TRIANGLE`] where a block has fewer |
 //!
 //! Boxes are quantised to eight bits in the frame of their node, outwards (Ylitie, Karras and Laine 2017,
 //! *Efficient incoherent ray traversal on GPUs through compressed wide BVHs*): ten bytes a child.
@@ -16,10 +17,15 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 pub const SECTION_HEADER: usize = 0;
 /// Nodes.
 pub const SECTION_NODES: usize = 1;
+/// Blocks of triangles.
+pub const SECTION_BLOCKS: usize = 2;
 /// References.
-pub const SECTION_REFERENCES: usize = 2;
+pub const SECTION_REFERENCES: usize = 3;
 /// Number of sections.
-pub const SECTIONS: usize = 3;
+pub const SECTIONS: usize = 4;
+
+/// A reference of a lane that holds nothing.
+pub const NO_TRIANGLE: u32 = u32::MAX;
 
 /// Children of a node, at most.
 pub const WIDTH: usize = 8;
@@ -31,7 +37,7 @@ pub const DEPTH: usize = 64;
 /// In [`BvhNode::child`]: an inner node; the low three bits count the inner children before it.
 pub const CHILD_INNER: u8 = 0x80;
 /// In [`BvhNode::child`]: nothing. Other values without [`CHILD_INNER`] are leaves: bits 5 and 6 hold the number
-/// of triangles less one, bits 0 to 4 the first reference, counted from [`BvhNode::references`].
+/// of triangles less one, bits 0 to 2 the block, counted from [`BvhNode::blocks`].
 pub const CHILD_NONE: u8 = 0xff;
 
 /// What a hierarchy is made of.
@@ -55,18 +61,37 @@ const _: () = assert!(size_of::<BvhHeader>() == 32);
 pub struct BvhNode {
     /// Where the quantised coordinates begin, m.
     pub origin: [f32; 3],
-    /// A step of the quantised coordinates along each axis is `2^(exponent - 127)` m.
-    pub exponent: [u8; 3],
-    /// Which of the children are something, a bit each.
-    pub used: u8,
+    /// Their step along each axis, m: a power of two.
+    pub step: [f32; 3],
     /// The first inner child.
     pub nodes: u32,
-    /// The first reference of the leaves among the children.
-    pub references: u32,
+    /// The first block of the leaves among the children.
+    pub blocks: u32,
     /// What each child is: [`CHILD_INNER`], [`CHILD_NONE`], or a leaf.
     pub child: [u8; WIDTH],
-    /// Lower corners (rounded down, x, y, z), then upper corners (rounded up) of the children's boxes, each grown by
-    /// four tolerances. A child that is nothing has lower above upper.
-    pub bounds: [[u8; WIDTH]; 6],
+    /// Along each axis, the lower ends of the children's boxes (rounded down), then their upper ends (rounded up); each box
+    /// was grown by four tolerances. A child that is nothing has lower above upper.
+    pub bounds: [[u8; 2 * WIDTH]; 3],
+    /// Which of the children are something, a bit each.
+    pub used: u32,
+    /// Zero.
+    pub reserved: u32,
 }
-const _: () = assert!(size_of::<BvhNode>() == 80);
+const _: () = assert!(size_of::<BvhNode>() == 96);
+
+/// Up to [`LEAF_TRIANGLES`] triangles as a vector unit likes them: everything that a ray, and who looks at what it hit,
+/// wants to know.
+///
+/// Zero in a store, where the mesh has all this: whoever loads a hierarchy fills it in, lane by lane, from the triangles
+/// that the references name.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
+#[repr(C)]
+pub struct LeafBlock {
+    /// Corner, axis, lane: coordinates, m.
+    pub corners: [[[f32; LEAF_TRIANGLES]; 3]; 3],
+    /// Index in the scene.
+    pub global: [u32; LEAF_TRIANGLES],
+    /// Material.
+    pub material: [u32; LEAF_TRIANGLES],
+}
+const _: () = assert!(size_of::<LeafBlock>() == 176);

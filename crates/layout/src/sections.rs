@@ -142,3 +142,32 @@ pub fn section<T: FromBytes + Immutable + KnownLayout>(
         Malformed(format!("section {index} has {} bytes, no whole number of records", bytes.len()))
     })
 }
+
+/// Two sections, the first of which can be changed; they lie in this order.
+pub fn section_mut_and<'a, T, U>(
+    blob: &'a mut [u8],
+    first: usize,
+    second: usize,
+) -> Result<(&'a mut [T], &'a [U]), Malformed>
+where
+    T: FromBytes + IntoBytes + KnownLayout,
+    U: FromBytes + Immutable + KnownLayout,
+{
+    let table = table(blob)?;
+    let (Some(a), Some(b)) = (table.get(first), table.get(second)) else {
+        return Err(Malformed(format!(
+            "section {first} or {second} of {} is missing",
+            table.len()
+        )));
+    };
+    if b.offset < a.offset + a.bytes {
+        return Err(Malformed(format!("section {second} lies before section {first}")));
+    }
+    let (front, back) = blob.split_at_mut(b.offset as usize);
+    let front = &mut front[a.offset as usize..][..a.bytes as usize];
+    let uneven = |i: usize| Malformed(format!("section {i} holds no whole number of records"));
+    Ok((
+        <[T]>::mut_from_bytes(front).map_err(|_| uneven(first))?,
+        <[U]>::ref_from_bytes(&back[..b.bytes as usize]).map_err(|_| uneven(second))?,
+    ))
+}

@@ -265,11 +265,10 @@ impl Finder<'_> {
                 }
             };
             let data = last.insert(data);
-            let (mesh, structure) = (data.mesh().map_err(store)?, data.structure().map_err(store)?);
+            let structure = data.structure().map_err(store)?;
             let resident = Resident {
                 tile,
                 bsp: self.bsp,
-                mesh: &mesh,
                 structure: &structure,
                 materials: self.tables.materials(),
                 delta: self.tables.scene.delta,
@@ -282,8 +281,7 @@ impl Finder<'_> {
                 last_triangle: enf_layout::NONE,
                 ..TransitRecord::default()
             };
-            let end =
-                flight::fly(&resident, &ray, &flight::prepare(&ray), f32::INFINITY, |_, _| {});
+            let end = flight::fly(&resident, &ray, f32::INFINITY, |_, _| {});
             match end {
                 Flight::Hit { hit, .. } => return Ok(hit.t),
                 Flight::Leaves { leaf: next, t } => {

@@ -137,7 +137,12 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let maps = session::complete(&store, StageKind::Kdtree, &tables, &[ExtentKind::Map], |room| {
         room..room + 1
     })?;
-    let reader = TileReader { partition: &tables.partition, grid: &grid, budget: &budget };
+    let reader = TileReader {
+        partition: &tables.partition,
+        grid: &grid,
+        budget: &budget,
+        delta: tables.scene.delta,
+    };
     let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &views)?;
 
@@ -189,7 +194,9 @@ fn refuse_if_hopeless(
 ) -> Result<()> {
     let common = &cli.common;
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
-    let rays = RowTable::<TransitRecord>::memory_bytes(rows, block) + bytes_in_flight(common);
+    let together = Scratch::ray_bytes(cli.render.light_samples) * common.threads as u64;
+    let rays =
+        RowTable::<TransitRecord>::memory_bytes(rows, block) + bytes_in_flight(common) + together;
     let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
     let film = film_bytes(pixels.min(BAND_PIXELS));
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -341,7 +348,8 @@ fn render(
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
     let _queue = budget
         .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
-    let _jobs = budget.reserve(bytes_in_flight(common), "rays in flight")?;
+    let together = Scratch::ray_bytes(args.light_samples) * common.threads as u64;
+    let _jobs = budget.reserve(bytes_in_flight(common) + together, "rays in flight")?;
 
     let mut first_pixels = vec![0u32];
     for view in views {
@@ -378,7 +386,12 @@ fn render(
         indirect: args.indirect != Indirect::None,
         power: &power,
     };
-    let reader = TileReader { partition: &tables.partition, grid: readers.grid, budget: &budget };
+    let reader = TileReader {
+        partition: &tables.partition,
+        grid: readers.grid,
+        budget: &budget,
+        delta: tables.scene.delta,
+    };
 
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<Result<Products>>();

@@ -7,6 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
+use enf_geometry::{Hit, Query};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
@@ -117,11 +118,35 @@ pub(crate) struct Context<'a> {
 pub(crate) struct Scratch {
     gather: GatherScratch,
     weights: Vec<f32>,
+    /// Rays that are followed together.
+    group: Vec<TransitRecord>,
+    /// Shadow rays that will be.
+    shadows: Vec<TransitRecord>,
+    queries: Vec<Query>,
+    hits: Vec<Option<Hit>>,
 }
 
 impl Scratch {
+    /// Rays that are followed together.
+    const GROUP: usize = 512;
+
+    /// Bytes of the rays that are followed together, when each comes with so many shadow rays.
+    pub(crate) fn ray_bytes(light_samples: u32) -> u64 {
+        let asked = size_of::<TransitRecord>() + size_of::<Query>() + size_of::<Option<Hit>>();
+        // Vectors that grow by doubling.
+        let shadows = 2 * (light_samples as usize + 1) * size_of::<TransitRecord>();
+        (Self::GROUP * (asked + shadows)) as u64
+    }
+
     pub(crate) fn new(photons: u32) -> Self {
-        Self { gather: GatherScratch::new(photons), weights: Vec::new() }
+        Self {
+            gather: GatherScratch::new(photons),
+            weights: Vec::new(),
+            group: Vec::new(),
+            shadows: Vec::new(),
+            queries: Vec::new(),
+            hits: Vec::new(),
+        }
     }
 }
 
@@ -144,15 +169,38 @@ impl Context<'_> {
         (&self.views[view], pixel - self.first_pixels[view])
     }
 
+    /// A camera ray of a job, if it starts in the job's tile.
+    fn seen(&self, job: &Job, index: u64) -> Option<TransitRecord> {
+        let pixel = job.first_pixel + (index / u64::from(self.samples)) as u32;
+        let sample = (index % u64::from(self.samples)) as u32;
+        let (view, local) = self.pixel(pixel);
+        let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
+        let (dx, dy) = camera::place(sample, [u[0], u[1]]);
+        let direction = view.camera.direction(local, dx, dy);
+        let leaf = self.bsp.locate_towards(view.camera.eye.as_dvec3(), direction.as_dvec3());
+        (self.bsp.leaves[leaf as usize].tile == job.tile.tile).then(|| TransitRecord {
+            origin: view.camera.eye.to_array(),
+            direction: direction.to_array(),
+            flux: [1.0; 3],
+            t: 0.0,
+            leaf,
+            light: pixel,
+            photon: sample,
+            bounce: 0,
+            flags: TRANSIT_CAMERA,
+            last_triangle: NONE,
+            impacts: 0,
+        })
+    }
+
     pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
-        let (mesh, structure) = (job.tile.mesh()?, job.tile.structure()?);
+        let structure = job.tile.structure()?;
         let room = self.tables.tiles()[job.tile.tile as usize].room;
         let shader = Shader {
             context: self,
             tile: Resident {
                 tile: job.tile.tile,
                 bsp: &self.bsp,
-                mesh: &mesh,
                 structure: &structure,
                 materials: self.tables.materials(),
                 delta: self.tables.scene.delta,
@@ -170,43 +218,16 @@ impl Context<'_> {
         let mut products = Products::default();
         match &job.work {
             Work::Waiting { records, range } => {
-                for record in &records.records()[range.clone()] {
-                    if record.flags & TRANSIT_SHADOW != 0 {
-                        shader.shadow(*record, &mut products);
-                    } else {
-                        shader.camera(*record, scratch, &mut products);
-                    }
-                }
+                let mut waiting = records.records()[range.clone()].iter();
+                shader.follow_all(scratch, &mut products, |_| waiting.next().copied());
             }
             Work::Camera { indices } => {
-                for index in indices.clone() {
-                    let pixel = job.first_pixel + (index / u64::from(self.samples)) as u32;
-                    let sample = (index % u64::from(self.samples)) as u32;
-                    let (view, local) = self.pixel(pixel);
-                    let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
-                    let (dx, dy) = camera::place(sample, [u[0], u[1]]);
-                    let direction = view.camera.direction(local, dx, dy);
-                    let leaf =
-                        self.bsp.locate_towards(view.camera.eye.as_dvec3(), direction.as_dvec3());
-                    if self.bsp.leaves[leaf as usize].tile != job.tile.tile {
-                        continue;
-                    }
+                let mut indices = indices.clone();
+                shader.follow_all(scratch, &mut products, |products| {
+                    let record = indices.find_map(|index| self.seen(job, index))?;
                     products.camera += 1;
-                    let record = TransitRecord {
-                        origin: view.camera.eye.to_array(),
-                        direction: direction.to_array(),
-                        flux: [1.0; 3],
-                        t: 0.0,
-                        leaf,
-                        light: pixel,
-                        photon: sample,
-                        bounce: 0,
-                        flags: TRANSIT_CAMERA,
-                        last_triangle: NONE,
-                        impacts: 0,
-                    };
-                    shader.camera(record, scratch, &mut products);
-                }
+                    Some(record)
+                });
             }
         }
         Ok(products)
@@ -222,65 +243,125 @@ impl Shader<'_> {
         self.tile.bsp.leaves[leaf as usize].tile
     }
 
-    /// Follows a camera ray until it ends or leaves the tile.
-    fn camera(&self, mut record: TransitRecord, scratch: &mut Scratch, products: &mut Products) {
-        let bsp = self.tile.bsp;
-        let mut prepared = flight::prepare(&record);
+    /// Follows camera and shadow rays, those that `next` gives and those that come of them, until each has ended or left
+    /// the tile.
+    fn follow_all(
+        &self,
+        scratch: &mut Scratch,
+        products: &mut Products,
+        mut next: impl FnMut(&mut Products) -> Option<TransitRecord>,
+    ) {
+        let mut group = std::mem::take(&mut scratch.group);
+        let mut more = true;
         loop {
-            let hit = match flight::fly(&self.tile, &record, &prepared, f32::INFINITY, |_, _| {}) {
-                Flight::Leaves { leaf, t } => {
-                    record.leaf = leaf;
-                    record.t = t;
-                    return products.park(self.tile_of(leaf), record);
+            // What is under way goes first: it cannot become much more.
+            while group.len() < Scratch::GROUP
+                && let Some(record) = scratch.shadows.pop()
+            {
+                group.push(record);
+            }
+            while more && group.len() < Scratch::GROUP {
+                match next(products) {
+                    Some(record) => group.push(record),
+                    None => more = false,
                 }
-                Flight::Escapes { .. } | Flight::Reached => return,
-                Flight::Hit { hit, leaf } => {
-                    record.leaf = leaf;
-                    hit
+            }
+            if group.is_empty() {
+                break;
+            }
+            scratch.queries.clear();
+            scratch.queries.extend(group.iter().map(|r| flight::query(r, self.end(r))));
+            scratch.hits.clear();
+            scratch.hits.resize(group.len(), None);
+            self.tile.structure.nearest_batch(&scratch.queries, &mut scratch.hits);
+            let mut at = 0;
+            group.retain_mut(|record| {
+                let hit = scratch.hits[at];
+                at += 1;
+                if record.flags & TRANSIT_SHADOW != 0 {
+                    self.shadow(record, hit, products)
+                } else {
+                    self.camera(record, hit, scratch, products)
                 }
-            };
-            let direction = Vec3::from(record.direction);
-            let surface = flight::surface(&self.tile, &hit, direction);
-            let leaf = bsp.locate(surface.origin.as_dvec3());
-            if bsp.leaves[leaf as usize].room != self.room {
-                // The point belongs to a neighbour, whose photons and lights are elsewhere: met again there.
+            });
+        }
+        scratch.group = group;
+    }
+
+    /// How far a ray goes, m.
+    fn end(&self, record: &TransitRecord) -> f32 {
+        if record.flags & TRANSIT_SHADOW == 0 {
+            return f32::INFINITY;
+        }
+        // Whatever lies within the tolerance of the light is part of it.
+        f32::from_bits(record.photon) - 2.0 * self.tile.delta
+    }
+
+    /// What becomes of a camera ray that meets `hit` next; false when that was the last of it here.
+    fn camera(
+        &self,
+        record: &mut TransitRecord,
+        hit: Option<Hit>,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) -> bool {
+        let bsp = self.tile.bsp;
+        let hit = match flight::follow(&self.tile, record, f32::INFINITY, hit, |_, _| {}) {
+            Flight::Leaves { leaf, t } => {
                 record.leaf = leaf;
-                record.t = hit.t;
-                return products.park(self.tile_of(leaf), record);
+                record.t = t;
+                products.park(self.tile_of(leaf), *record);
+                return false;
             }
-            let throughput = Vec3::from(record.flux);
-            let material = &self.tile.materials[surface.material as usize];
-            let lobes = scatter::lobes(material, -surface.normal.dot(direction));
-            let pixel = self.film_pixel(&record);
-            if record.bounce == 0 {
-                let albedo = lobes.diffuse.to_array();
-                self.film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
-                if record.photon == 0 {
-                    self.film.set_room(pixel, self.room + 1);
-                }
+            Flight::Escapes { .. } | Flight::Reached => return false,
+            Flight::Hit { hit, leaf } => {
+                record.leaf = leaf;
+                hit
             }
-            if surface.front {
-                let emitted = throughput * Vec3::from(material.emission);
-                if emitted != Vec3::ZERO {
-                    self.film.add_direct(pixel, emitted.to_array());
-                }
-            }
-            if lobes.diffuse != Vec3::ZERO {
-                self.diffuse(&record, &surface, throughput, &lobes, scratch, products);
-            }
-            if !self.go_on(&mut record, &surface, &lobes, throughput, hit.t) {
-                return;
-            }
-            if record.t == 0.0 {
-                let direction = Vec3::from(record.direction);
-                record.leaf = bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
-                let next = self.tile_of(record.leaf);
-                if next != self.tile.tile {
-                    return products.park(next, record);
-                }
-                prepared = flight::prepare(&record);
+        };
+        let direction = Vec3::from(record.direction);
+        let surface = flight::surface(&self.tile, &hit, direction);
+        let leaf = bsp.locate(surface.origin.as_dvec3());
+        if bsp.leaves[leaf as usize].room != self.room {
+            // The point belongs to a neighbour, whose photons and lights are elsewhere: met again there.
+            record.leaf = leaf;
+            record.t = hit.t;
+            products.park(self.tile_of(leaf), *record);
+            return false;
+        }
+        let throughput = Vec3::from(record.flux);
+        let material = &self.tile.materials[surface.material as usize];
+        let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+        let pixel = self.film_pixel(record);
+        if record.bounce == 0 {
+            let albedo = lobes.diffuse.to_array();
+            self.film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
+            if record.photon == 0 {
+                self.film.set_room(pixel, self.room + 1);
             }
         }
+        if surface.front {
+            let emitted = throughput * Vec3::from(material.emission);
+            if emitted != Vec3::ZERO {
+                self.film.add_direct(pixel, emitted.to_array());
+            }
+        }
+        if lobes.diffuse != Vec3::ZERO {
+            self.diffuse(record, &surface, throughput, &lobes, scratch, products);
+        }
+        if !self.go_on(record, &surface, &lobes, throughput, hit.t) {
+            return false;
+        }
+        if record.t == 0.0 {
+            let direction = Vec3::from(record.direction);
+            record.leaf = bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+            let next = self.tile_of(record.leaf);
+            if next != self.tile.tile {
+                products.park(next, *record);
+                return false;
+            }
+        }
+        true
     }
 
     /// Mirror or straight on, one of the two by chance; false when the path ends.
@@ -474,45 +555,46 @@ impl Shader<'_> {
             products.shadow += 1;
             let next = self.tile_of(shadow.leaf);
             if next == self.tile.tile {
-                self.shadow(shadow, products);
+                scratch.shadows.push(shadow);
             } else {
                 products.park(next, shadow);
             }
         }
     }
 
-    /// Follows a shadow ray; what it carries reaches the film unless something opaque is in the way.
-    fn shadow(&self, mut record: TransitRecord, products: &mut Products) {
+    /// What becomes of a shadow ray that meets `hit` next: what it carries reaches the film unless something opaque is in
+    /// the way. False when that was the last of it here.
+    fn shadow(
+        &self,
+        record: &mut TransitRecord,
+        hit: Option<Hit>,
+        products: &mut Products,
+    ) -> bool {
         let target = record.impacts;
-        // Whatever lies within the tolerance of the light is part of it.
-        let end = f32::from_bits(record.photon) - 2.0 * self.tile.delta;
-        let prepared = flight::prepare(&record);
-        loop {
-            match flight::fly(&self.tile, &record, &prepared, end, |_, _| {}) {
-                Flight::Leaves { leaf, t } => {
-                    record.leaf = leaf;
-                    record.t = t;
-                    return products.park(self.tile_of(leaf), record);
-                }
-                Flight::Reached | Flight::Escapes { .. } => break,
-                Flight::Hit { hit, .. } if hit.global == target => break,
-                Flight::Hit { hit, leaf } => {
-                    let direction = Vec3::from(record.direction);
-                    let surface = flight::surface(&self.tile, &hit, direction);
-                    let material = &self.tile.materials[surface.material as usize];
-                    let lobes = scatter::lobes(material, -surface.normal.dot(direction));
-                    let flux = Vec3::from(record.flux) * lobes.transmitted;
-                    if flux == Vec3::ZERO {
-                        return;
-                    }
-                    record.flux = flux.to_array();
-                    record.leaf = leaf;
-                    record.t = flight::just_after(hit.t);
-                    record.last_triangle = hit.global;
-                }
+        match flight::follow(&self.tile, record, self.end(record), hit, |_, _| {}) {
+            Flight::Leaves { leaf, t } => {
+                record.leaf = leaf;
+                record.t = t;
+                products.park(self.tile_of(leaf), *record);
+                return false;
+            }
+            Flight::Reached | Flight::Escapes { .. } => {}
+            Flight::Hit { hit, .. } if hit.global == target => {}
+            Flight::Hit { hit, leaf } => {
+                let direction = Vec3::from(record.direction);
+                let surface = flight::surface(&self.tile, &hit, direction);
+                let material = &self.tile.materials[surface.material as usize];
+                let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+                let flux = Vec3::from(record.flux) * lobes.transmitted;
+                record.flux = flux.to_array();
+                record.leaf = leaf;
+                record.t = flight::just_after(hit.t);
+                record.last_triangle = hit.global;
+                return flux != Vec3::ZERO;
             }
         }
-        self.film.add_direct(self.film_pixel(&record), record.flux);
+        self.film.add_direct(self.film_pixel(record), record.flux);
+        false
     }
 }
 

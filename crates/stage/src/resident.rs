@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use crossbeam::channel::{Receiver, Sender, bounded};
-use enf_geometry::{Structure, StructureKind, TileMesh};
+use enf_geometry::{BvhView, GridView, Structure, StructureKind, TileMesh};
 use enf_layout::sections::Malformed;
 use enf_layout::segment::ExtentKind;
 use enf_store::{Buffer, Extent, MemoryBudget, StageReader, StoreError};
@@ -16,35 +16,35 @@ use crate::timeline::Timeline;
 /// The kinds of extents that hold the structure of a tile; each tile has one of them.
 pub const STRUCTURES: [ExtentKind; 2] = [ExtentKind::Bvh, ExtentKind::Grid];
 
-/// One tile's mesh and structure, inflated, checked once.
+/// One tile's structure, inflated, completed from its mesh, checked once.
 pub struct TileData {
     /// Tile id.
     pub tile: u32,
-    mesh: Buffer,
-    kind: StructureKind,
+    /// Kept for a structure that holds no triangles of its own.
+    mesh: Option<Buffer>,
     structure: Buffer,
+    delta: f32,
 }
 
 impl TileData {
-    /// The mesh.
-    ///
-    /// # Errors
-    /// When the blob is malformed; it was checked when it was loaded.
-    pub fn mesh(&self) -> std::result::Result<TileMesh<'_>, Malformed> {
-        TileMesh::from_checked_blob(&self.mesh)
-    }
-
-    /// The structure that keeps rays from most of the mesh.
+    /// The structure, which answers rays and knows what they hit.
     ///
     /// # Errors
     /// When the blob is malformed; it was checked when it was loaded.
     pub fn structure(&self) -> std::result::Result<Structure<'_>, Malformed> {
-        Structure::from_checked_blob(self.kind, &self.structure)
+        let (blob, delta) = (&self.structure[..], self.delta);
+        Ok(match &self.mesh {
+            Some(mesh) => {
+                let mesh = TileMesh::from_checked_blob(mesh)?;
+                Structure::Grid(GridView::from_checked_blob(blob, mesh, delta)?)
+            }
+            None => Structure::Bvh(BvhView::from_checked_blob(blob, delta)?),
+        })
     }
 
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        (self.mesh.len() + self.structure.len()) as u64
+        (self.mesh.as_ref().map_or(0, |m| m.len()) + self.structure.len()) as u64
     }
 }
 
@@ -56,6 +56,8 @@ pub struct TileReader<'a> {
     pub grid: &'a StageReader,
     /// Where the bytes come from.
     pub budget: &'a MemoryBudget,
+    /// The scene's tolerance, m.
+    pub delta: f32,
 }
 
 impl TileReader<'_> {
@@ -66,7 +68,7 @@ impl TileReader<'_> {
         Ok((StructureKind::Bvh, self.grid.single(ExtentKind::Bvh, tile)?))
     }
 
-    /// Bytes that the tile needs when it is resident.
+    /// Bytes that the tile needs while it is loaded; it may need less then.
     ///
     /// # Errors
     /// When the store does not have it.
@@ -83,10 +85,12 @@ impl TileReader<'_> {
         let geometry = self.partition.single(ExtentKind::Geometry, tile)?;
         let mesh = self.partition.read(geometry, self.budget, "mesh of a tile")?;
         let (kind, extent) = self.structure(tile)?;
-        let structure = self.grid.read(extent, self.budget, "structure of a tile")?;
-        let triangles = TileMesh::from_blob(&mesh)?.len();
-        Structure::from_blob(kind, &structure, triangles)?;
-        Ok(TileData { tile, mesh, kind, structure })
+        let mut structure = self.grid.read(extent, self.budget, "structure of a tile")?;
+        let view = TileMesh::from_blob(&mesh)?;
+        kind.complete(&mut structure, &view)?;
+        Structure::from_blob(kind, &structure, view, self.delta)?;
+        let mesh = (kind == StructureKind::Grid).then_some(mesh);
+        Ok(TileData { tile, mesh, structure, delta: self.delta })
     }
 }
 

@@ -26,6 +26,7 @@ use enf_stage::{
     Selection, interrupt, parse_count, say,
 };
 use enf_store::{Buffer, Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
+use enf_transport::photon::Group;
 
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
@@ -222,7 +223,8 @@ impl Queues {
             * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
         let transit = RowTable::<TransitRecord>::memory_bytes(rows, block);
         let photons = RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block);
-        let jobs = per_job * (common.threads as u64 + 4);
+        let threads = common.threads as u64;
+        let jobs = per_job * (threads + 4) + Group::BYTES * threads;
         let queues = Self {
             rows,
             block,
@@ -234,7 +236,8 @@ impl Queues {
                 budget.reserve(jobs, "photons in flight")?,
             ],
         };
-        let reader = TileReader { partition: &tables.partition, grid, budget };
+        let reader =
+            TileReader { partition: &tables.partition, grid, budget, delta: tables.scene.delta };
         session::refuse_large_tiles(tables, &reader, budget, common.memory)?;
         Ok(queues)
     }
@@ -270,7 +273,12 @@ fn trace(
         seed: common.seed,
         photons_per_light: cli.trace.photons(),
     };
-    let reader = TileReader { partition: &tables.partition, grid, budget: &budget };
+    let reader = TileReader {
+        partition: &tables.partition,
+        grid,
+        budget: &budget,
+        delta: tables.scene.delta,
+    };
     let (jobs, take_job) = bounded::<Job>(common.threads * 2);
     let (done, finished) = unbounded::<std::result::Result<(), Failure>>();
     let (messages, mailbox) = bounded::<Message>(common.threads * 2 + 2);
@@ -287,10 +295,11 @@ fn trace(
             let context = &context;
             scope.spawn(move || {
                 let lane = timeline.lane(&format!("tracer {thread}"));
+                let mut group = Group::default();
                 for job in take_job {
                     let span = lane.span("trace", job.tile.tile);
                     let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                        context.run(&job)
+                        context.run(&job, &mut group)
                     }));
                     drop(span);
                     drop(job);

@@ -192,12 +192,11 @@ pub(crate) struct Context<'a> {
 
 impl Context<'_> {
     /// Runs one job.
-    pub(crate) fn run(&self, job: &Job) -> Result<Products, Malformed> {
-        let (mesh, structure) = (job.tile.mesh()?, job.tile.structure()?);
+    pub(crate) fn run(&self, job: &Job, group: &mut photon::Group) -> Result<Products, Malformed> {
+        let structure = job.tile.structure()?;
         let tile = Resident {
             tile: job.tile.tile,
             bsp: &self.bsp,
-            mesh: &mesh,
             structure: &structure,
             materials: self.tables.materials(),
             delta: self.tables.scene.delta,
@@ -205,20 +204,21 @@ impl Context<'_> {
         let mut products = Products::default();
         match &job.work {
             Work::Waiting { records, range } => {
-                for record in &records.records()[range.clone()] {
+                let mut waiting = records.records()[range.clone()].iter();
+                photon::trace_all(&tile, self.seed, group, &mut products, |products| {
+                    let record = waiting.next()?;
                     products.tally.traced += 1;
-                    photon::trace(&tile, self.seed, *record, &mut products);
-                }
+                    Some(*record)
+                });
             }
             Work::Emission { light, indices } => {
-                for index in indices.clone() {
-                    if index < self.photons_per_light {
-                        self.emit(&tile, *light, index as u32, &mut products);
-                    } else {
-                        let probe = (index - self.photons_per_light) as u32;
-                        self.probe(&tile, *light, probe, &mut products);
-                    }
-                }
+                let mut indices = indices.clone();
+                photon::trace_all(&tile, self.seed, group, &mut products, |products| {
+                    indices.find_map(|index| match index.checked_sub(self.photons_per_light) {
+                        None => self.emit(&tile, *light, index as u32, products),
+                        Some(probe) => self.probe(&tile, *light, probe as u32),
+                    })
+                });
             }
         }
         Ok(products)
@@ -228,14 +228,21 @@ impl Context<'_> {
         &self.bsp.leaves[leaf as usize]
     }
 
-    fn emit(&self, tile: &Resident<'_>, id: u32, photon: u32, products: &mut Products) {
+    /// A photon that starts in the tile.
+    fn emit(
+        &self,
+        tile: &Resident<'_>,
+        id: u32,
+        photon: u32,
+        products: &mut Products,
+    ) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
         let start = emission::start(self.seed, id, light, emitters, photon, tile.delta);
         let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
         let leaf = self.bsp.locate_towards(origin, direction);
         if self.leaf(leaf).tile != tile.tile {
-            return;
+            return None;
         }
         let flux = Vec3::from(light.flux_w) / self.photons_per_light as f32;
         let room = self.leaf(self.bsp.locate(origin)).room;
@@ -243,7 +250,7 @@ impl Context<'_> {
         ledger.emitted += 1;
         add3(&mut ledger.emitted_w, flux);
         products.tally.traced += 1;
-        let record = TransitRecord {
+        Some(TransitRecord {
             origin: start.origin.to_array(),
             direction: start.direction.to_array(),
             flux: flux.to_array(),
@@ -255,12 +262,11 @@ impl Context<'_> {
             flags: TRANSIT_UNSCATTERED,
             last_triangle: start.triangle,
             impacts: 0,
-        };
-        photon::trace(tile, self.seed, record, products);
+        })
     }
 
     /// A probe goes from a point on the light to a point of a portal of the room in which it starts.
-    fn probe(&self, tile: &Resident<'_>, id: u32, probe: u32, products: &mut Products) {
+    fn probe(&self, tile: &Resident<'_>, id: u32, probe: u32) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
         let u = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 0);
@@ -272,13 +278,13 @@ impl Context<'_> {
         let room = self.leaf(self.bsp.locate(origin.as_dvec3())).room;
         let portals = self.tables.portals_of(room);
         if portals.is_empty() {
-            return;
+            return None;
         }
         let portal = &portals[((u[3] * portals.len() as f32) as usize).min(portals.len() - 1)];
         let first = portal.first_piece as usize;
         let pieces = &self.tables.pieces()[first..first + portal.piece_count as usize];
         if pieces.is_empty() {
-            return;
+            return None;
         }
         // A piece by area, a triangle of its fan by v[1], a point on it by v[2] and v[3].
         let mut pick = v[0] * portal.area_m2;
@@ -297,13 +303,13 @@ impl Context<'_> {
         let direction = (target - origin).normalize_or_zero();
         let one_sided = light.kind == LIGHT_AREA || light.kind == LIGHT_POINT_LAMBERT;
         if direction == Vec3::ZERO || (one_sided && direction.dot(point.normal) <= 0.0) {
-            return;
+            return None;
         }
         let leaf = self.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3());
         if self.leaf(leaf).tile != tile.tile {
-            return;
+            return None;
         }
-        let record = TransitRecord {
+        Some(TransitRecord {
             origin: origin.to_array(),
             direction: direction.to_array(),
             t: 0.0,
@@ -313,7 +319,6 @@ impl Context<'_> {
             flags: TRANSIT_PROBE,
             last_triangle: point.triangle,
             ..TransitRecord::default()
-        };
-        photon::trace(tile, self.seed, record, products);
+        })
     }
 }

@@ -1,6 +1,6 @@
 //! A ray's flight through one resident tile: leaf by leaf, until it hits something or leaves the tile.
 
-use enf_geometry::{Hit, PreparedRay, Ray, Structure, TileMesh};
+use enf_geometry::{Hit, Query, Ray, Structure};
 use enf_layout::material::MaterialRecord;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::Bsp;
@@ -15,9 +15,7 @@ pub struct Resident<'a> {
     pub tile: u32,
     /// Where everything lies.
     pub bsp: &'a Bsp<'a>,
-    /// The tile's triangles.
-    pub mesh: &'a TileMesh<'a>,
-    /// What keeps most of them apart from a ray.
+    /// The tile's triangles, and what keeps most of them apart from a ray.
     pub structure: &'a Structure<'a>,
     /// All materials of the scene.
     pub materials: &'a [MaterialRecord],
@@ -71,27 +69,29 @@ pub struct Surface {
 
 /// Flies `record` from (`record.leaf`, `record.t`) on, at most to distance `end`. `crossed(from, to)` is told of every change of leaf, the
 /// last one (out of the tile) included.
+pub fn fly(
+    tile: &Resident<'_>,
+    record: &TransitRecord,
+    end: f32,
+    crossed: impl FnMut(u32, u32),
+) -> Flight {
+    follow(tile, record, end, tile.structure.nearest(&query(record, end)), crossed)
+}
+
+/// [`fly`], when what [`query`] asks has been answered.
 ///
 /// The nearest hit in the tile's triangles is asked for once; the walk then decides whether the ray gets that
 /// far inside this tile. Accepting hits up to `t_accept` (the leaf grown by delta) keeps a wall that lies in a
 /// splitting plane on this side of it; that never changes *which* hit is nearest (see `enf_rooms::walk`).
-pub fn fly(
+pub fn follow(
     tile: &Resident<'_>,
     record: &TransitRecord,
-    prepared: &PreparedRay,
     end: f32,
+    hit: Option<Hit>,
     mut crossed: impl FnMut(u32, u32),
 ) -> Flight {
     let origin: DVec3 = Vec3::from(record.origin).as_dvec3();
     let direction = Vec3::from(record.direction).as_dvec3();
-    let hit = tile.structure.nearest(
-        tile.mesh,
-        prepared,
-        record.t,
-        end,
-        record.last_triangle,
-        tile.delta,
-    );
     let reach = hit.map_or(f32::INFINITY, |h| h.t);
     let (mut leaf, mut t) = (record.leaf, record.t);
     loop {
@@ -119,17 +119,19 @@ pub fn fly(
     }
 }
 
-/// The ray of a record, prepared for intersection.
-pub fn prepare(record: &TransitRecord) -> PreparedRay {
-    PreparedRay::new(&Ray {
-        origin: Vec3::from(record.origin),
-        direction: Vec3::from(record.direction),
-    })
+/// What a flight asks of a tile's structure.
+pub fn query(record: &TransitRecord, end: f32) -> Query {
+    Query {
+        ray: Ray { origin: Vec3::from(record.origin), direction: Vec3::from(record.direction) },
+        t_min: record.t,
+        t_max: end,
+        exclude: record.last_triangle,
+    }
 }
 
 /// The surface at a hit. It depends on the ray and the triangle alone.
 pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
-    let [a, b, c] = tile.mesh.corners(hit.triangle).map(|p| p.as_dvec3());
+    let [a, b, c] = tile.structure.corners(hit.slot).map(|p| p.as_dvec3());
     let (u, v) = (f64::from(hit.u), f64::from(hit.v));
     let position = (a * (1.0 - u - v) + b * u + c * v).as_vec3();
     let normal = (b - a).cross(c - a).normalize_or_zero();
@@ -141,7 +143,7 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
         front,
         origin: position + normal * (tile.delta * OFFSET_PER_DELTA),
         triangle: hit.global,
-        material: tile.mesh.materials[hit.triangle as usize],
+        material: tile.structure.material(hit.slot),
     }
 }
 

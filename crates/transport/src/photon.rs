@@ -1,6 +1,7 @@
 //! Photon tracing in one tile (the paper, section 4.2): a photon flies, is stored where it lands, scatters,
 //! and is parked when it leaves the tile.
 
+use enf_geometry::{Hit, Query};
 use enf_layout::octahedral;
 use enf_layout::photon::{PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::rgbe;
@@ -29,94 +30,150 @@ pub trait Sink {
     fn probed(&mut self, light: u32, room: u32);
 }
 
-/// Traces one photon or probe until it ends or leaves the tile.
-pub fn trace(tile: &Resident<'_>, seed: u64, mut record: TransitRecord, sink: &mut impl Sink) {
+/// Photons that are traced together, and what is asked of them: room for the caller to keep.
+#[derive(Default)]
+pub struct Group {
+    records: Vec<TransitRecord>,
+    queries: Vec<Query>,
+    hits: Vec<Option<Hit>>,
+}
+
+impl Group {
+    /// How many photons are under way together: enough to keep a batch of rays busy, few enough for the caches.
+    pub const SIZE: usize = 1024;
+    /// Bytes of a group.
+    pub const BYTES: u64 = (Self::SIZE
+        * (size_of::<TransitRecord>() + size_of::<Query>() + size_of::<Option<Hit>>()))
+        as u64;
+}
+
+/// Traces photons and probes until each has ended or left the tile. `next` gives one after the other.
+pub fn trace_all<S: Sink>(
+    tile: &Resident<'_>,
+    seed: u64,
+    group: &mut Group,
+    sink: &mut S,
+    mut next: impl FnMut(&mut S) -> Option<TransitRecord>,
+) {
+    let Group { records, queries, hits } = group;
+    records.clear();
+    let mut more = true;
+    loop {
+        while more && records.len() < Group::SIZE {
+            match next(sink) {
+                Some(record) => records.push(record),
+                None => more = false,
+            }
+        }
+        if records.is_empty() {
+            return;
+        }
+        queries.clear();
+        queries.extend(records.iter().map(|record| flight::query(record, f32::INFINITY)));
+        hits.clear();
+        hits.resize(queries.len(), None);
+        tile.structure.nearest_batch(queries, hits);
+        let mut hits = hits.iter();
+        records.retain_mut(|record| step(tile, seed, record, hits.next().copied().flatten(), sink));
+    }
+}
+
+/// What becomes of a photon or probe whose ray meets `hit` next; false when that was the last of it here.
+fn step(
+    tile: &Resident<'_>,
+    seed: u64,
+    record: &mut TransitRecord,
+    hit: Option<Hit>,
+    sink: &mut impl Sink,
+) -> bool {
     let leaves = tile.bsp.leaves;
     let room_of = |leaf: u32| leaves[leaf as usize].room;
     let probe = record.flags & TRANSIT_PROBE != 0;
-    let mut prepared = flight::prepare(&record);
-    loop {
-        let end = flight::fly(tile, &record, &prepared, f32::INFINITY, |from, to| {
-            let (from, to) = (room_of(from), room_of(to));
-            if from != to && !probe {
-                sink.passage(from, to, &record);
-            }
-        });
-        let hit = match end {
-            Flight::Leaves { leaf, t } => {
-                record.leaf = leaf;
-                record.t = t;
-                return sink.park(leaves[leaf as usize].tile, record);
-            }
-            Flight::Escapes { leaf } => {
-                if !probe {
-                    sink.escaped(room_of(leaf), record.impacts, Vec3::from(record.flux));
-                }
-                return;
-            }
-            // There is no end to reach.
-            Flight::Reached => return,
-            Flight::Hit { hit, leaf } => {
-                record.leaf = leaf;
-                hit
-            }
-        };
-
-        let direction = Vec3::from(record.direction);
-        let surface = flight::surface(tile, &hit, direction);
-        let material = &tile.materials[surface.material as usize];
-        let lobes = scatter::lobes(material, -surface.normal.dot(direction));
-        if probe {
-            // Probes see through panes and end at anything else, in a room that sees the light.
-            if lobes.transmitted.max_element() <= 0.0 {
-                let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
-                return sink.probed(record.light, room);
-            }
-            record.t = flight::just_after(hit.t);
-            record.last_triangle = hit.global;
-            continue;
+    let end = flight::follow(tile, record, f32::INFINITY, hit, |from, to| {
+        let (from, to) = (room_of(from), room_of(to));
+        if from != to && !probe {
+            sink.passage(from, to, record);
         }
-
-        let flux = Vec3::from(record.flux);
-        let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
-        if scatter::stores_impacts(material) {
-            sink.impact(room, record.light, stored(seed, &record, &surface, flux));
-            record.impacts = record.impacts.saturating_add(1);
+    });
+    let hit = match end {
+        Flight::Leaves { leaf, t } => {
+            record.leaf = leaf;
+            record.t = t;
+            sink.park(leaves[leaf as usize].tile, *record);
+            return false;
         }
-        let u =
-            rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
-        let (event, after) =
-            scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
-        sink.absorb(room, flux - after);
-        record.flux = after.to_array();
-        record.bounce = record.bounce.wrapping_add(1);
+        Flight::Escapes { leaf } => {
+            if !probe {
+                sink.escaped(room_of(leaf), record.impacts, Vec3::from(record.flux));
+            }
+            return false;
+        }
+        // There is no end to reach.
+        Flight::Reached => return false,
+        Flight::Hit { hit, leaf } => {
+            record.leaf = leaf;
+            hit
+        }
+    };
+
+    let direction = Vec3::from(record.direction);
+    let surface = flight::surface(tile, &hit, direction);
+    let material = &tile.materials[surface.material as usize];
+    let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+    if probe {
+        // Probes see through panes and end at anything else, in a room that sees the light.
+        if lobes.transmitted.max_element() <= 0.0 {
+            let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
+            sink.probed(record.light, room);
+            return false;
+        }
+        record.t = flight::just_after(hit.t);
         record.last_triangle = hit.global;
-        match event {
-            Event::Absorbed => return sink.ended(room, record.impacts),
-            Event::Transmitted => {
-                // The same ray goes on: origin, direction and leaf stay, t moves.
-                record.t = flight::just_after(hit.t);
-                continue;
-            }
-            Event::Diffuse(new) => {
-                record.flags &= !(TRANSIT_UNSCATTERED | TRANSIT_MIRRORED);
-                record.direction = new.to_array();
-            }
-            Event::Mirror(new) => {
-                record.flags |= TRANSIT_MIRRORED;
-                record.direction = new.to_array();
-            }
-        }
-        record.origin = surface.origin.to_array();
-        record.t = 0.0;
-        let direction = Vec3::from(record.direction);
-        record.leaf = tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
-        let next = leaves[record.leaf as usize].tile;
-        if next != tile.tile {
-            return sink.park(next, record);
-        }
-        prepared = flight::prepare(&record);
+        return true;
     }
+
+    let flux = Vec3::from(record.flux);
+    let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
+    if scatter::stores_impacts(material) {
+        sink.impact(room, record.light, stored(seed, record, &surface, flux));
+        record.impacts = record.impacts.saturating_add(1);
+    }
+    let u = rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
+    let (event, after) =
+        scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
+    sink.absorb(room, flux - after);
+    record.flux = after.to_array();
+    record.bounce = record.bounce.wrapping_add(1);
+    record.last_triangle = hit.global;
+    match event {
+        Event::Absorbed => {
+            sink.ended(room, record.impacts);
+            return false;
+        }
+        Event::Transmitted => {
+            // The same ray goes on: origin, direction and leaf stay, t moves.
+            record.t = flight::just_after(hit.t);
+            return true;
+        }
+        Event::Diffuse(new) => {
+            record.flags &= !(TRANSIT_UNSCATTERED | TRANSIT_MIRRORED);
+            record.direction = new.to_array();
+        }
+        Event::Mirror(new) => {
+            record.flags |= TRANSIT_MIRRORED;
+            record.direction = new.to_array();
+        }
+    }
+    record.origin = surface.origin.to_array();
+    record.t = 0.0;
+    let direction = Vec3::from(record.direction);
+    record.leaf = tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+    let next = leaves[record.leaf as usize].tile;
+    if next != tile.tile {
+        sink.park(next, *record);
+        return false;
+    }
+    true
 }
 
 fn stored(

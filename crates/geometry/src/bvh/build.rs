@@ -1,12 +1,17 @@
 //! Building by the surface area heuristic in bins (Wald 2007, *On fast construction of SAH-based bounding
 //! volume hierarchies*), then eight children to a node by opening the largest (Wald, Benthin and Boulos 2008).
 
-use enf_layout::bvh::{BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, WIDTH};
-use enf_layout::sections::{self, Transform};
+use arrayvec::ArrayVec;
+use enf_layout::bvh::{
+    BvhHeader, BvhNode, CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE,
+    SECTION_BLOCKS, SECTION_REFERENCES, WIDTH,
+};
+use enf_layout::sections::{self, Malformed, Transform};
 use glam::Vec3;
 use zerocopy::IntoBytes;
 
 use crate::mesh::TileMesh;
+use crate::ray::has_no_area;
 
 /// Boxes are grown by so many tolerances.
 const GROWN: f64 = 4.0;
@@ -25,7 +30,8 @@ pub fn bvh_bytes_estimate(triangles: u64) -> u64 {
     sections::blob_bytes(&[
         size_of::<BvhHeader>(),
         nodes as usize * size_of::<BvhNode>(),
-        triangles as usize * 4,
+        triangles as usize * size_of::<LeafBlock>(),
+        triangles as usize * 4 * LEAF_TRIANGLES,
     ]) as u64
 }
 
@@ -59,7 +65,8 @@ fn area(min: Vec3, max: Vec3) -> f32 {
     d.x * d.y + d.y * d.z + d.z * d.x
 }
 
-/// Builds the hierarchy of a mesh for tolerance `delta`. The blob depends on the arguments alone.
+/// Builds the hierarchy of a mesh for tolerance `delta` (m). The blob depends on the arguments alone, and is complete
+/// only after [`complete_bvh`], as after loading it.
 pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
     let mut items: Vec<Item> = (0..mesh.len())
@@ -91,8 +98,61 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     sections::build(&[
         (header.as_bytes(), Transform::None, 1),
         (wide.nodes.as_bytes(), Transform::Delta, (size_of::<BvhNode>() / 4) as u32),
+        (
+            &vec![0; wide.references.len() / LEAF_TRIANGLES * size_of::<LeafBlock>()],
+            Transform::None,
+            1,
+        ),
         (wide.references.as_bytes(), Transform::Delta, 1),
     ])
+}
+
+/// Fills in the blocks from the mesh: once, after building or loading.
+///
+/// # Errors
+/// When the hierarchy is not one of this mesh.
+pub fn complete_bvh(blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malformed> {
+    let (blocks, references) = sections::section_mut_and::<LeafBlock, [u32; LEAF_TRIANGLES]>(
+        blob,
+        SECTION_BLOCKS,
+        SECTION_REFERENCES,
+    )?;
+    if blocks.len() != references.len() {
+        return Err(Malformed(format!(
+            "hierarchy has {} blocks and references for {}",
+            blocks.len(),
+            references.len()
+        )));
+    }
+    for (block, references) in blocks.iter_mut().zip(references) {
+        for (lane, &triangle) in references.iter().enumerate() {
+            if triangle == NO_TRIANGLE {
+                continue;
+            }
+            if triangle >= mesh.len() {
+                let n = mesh.len();
+                return Err(Malformed(format!("hierarchy lists triangle {triangle} of {n}")));
+            }
+            for (corner, p) in seen_by_rays(mesh, triangle).into_iter().enumerate() {
+                for (axis, x) in p.into_iter().enumerate() {
+                    block.corners[corner][axis][lane] = x;
+                }
+            }
+            block.global[lane] = mesh.global[triangle as usize];
+            block.material[lane] = mesh.materials[triangle as usize];
+        }
+    }
+    Ok(())
+}
+
+/// The corners of a triangle; not a number if it has no area, as nothing hits that.
+pub(super) fn seen_by_rays(mesh: &TileMesh<'_>, triangle: u32) -> [[f32; 3]; 3] {
+    let corners = mesh.corner_arrays(triangle);
+    if has_no_area(&corners.map(|p| p.map(f64::from))) {
+        [[f32::NAN; 3]; 3]
+    } else {
+        corners.map(|p| *p)
+    }
 }
 
 struct Job {
@@ -256,12 +316,13 @@ struct Wide<'a> {
 
 const NOTHING: BvhNode = BvhNode {
     origin: [0.0; 3],
-    exponent: [127; 3],
-    used: 0,
+    step: [1.0; 3],
     nodes: 0,
-    references: 0,
+    blocks: 0,
     child: [CHILD_NONE; WIDTH],
-    bounds: [[255; WIDTH], [255; WIDTH], [255; WIDTH], [0; WIDTH], [0; WIDTH], [0; WIDTH]],
+    bounds: [[255, 255, 255, 255, 255, 255, 255, 255, 0, 0, 0, 0, 0, 0, 0, 0]; 3],
+    used: 0,
+    reserved: 0,
 };
 
 impl Wide<'_> {
@@ -290,9 +351,11 @@ impl Wide<'_> {
                 children[n] = self.binary[opened as usize].at;
                 n += 1;
             }
-            let node = self.node(&children[..n]);
+            let slots = self.slots(&children[..n]);
+            let node = self.node(&slots);
             self.nodes[place as usize] = node;
-            let inner = children[..n].iter().filter(|&&c| self.binary[c as usize].count == 0);
+            let present = slots.iter().flatten();
+            let inner = present.filter(|&&c| self.binary[c as usize].count == 0);
             for (k, &child) in inner.enumerate() {
                 self.nodes.push(NOTHING);
                 stack.push((node.nodes + k as u32, child));
@@ -300,27 +363,62 @@ impl Wide<'_> {
         }
     }
 
+    /// Which child goes into which slot. Slot `s` is for the child that lies farthest towards the corner of the box that
+    /// has the signs of `s` (bit `a` set: the upper end of axis `a`), so that rays find the children roughly in
+    /// order when they take the slots in that of their own signs (Ylitie, Karras and Laine 2017, section 3.1).
+    fn slots(&self, children: &[u32]) -> [Option<u32>; WIDTH] {
+        let centre = |c: u32| {
+            let b = &self.binary[c as usize];
+            0.5 * b.min + 0.5 * b.max
+        };
+        let mut middle = Vec3::ZERO;
+        for &c in children {
+            middle += centre(c) / children.len() as f32;
+        }
+        let mut slots = [None; WIDTH];
+        let mut left: ArrayVec<u32, WIDTH> = children.iter().copied().collect();
+        while !left.is_empty() {
+            // (gain, child, slot): the best pair that is still free.
+            let mut best =
+                (f32::NEG_INFINITY, 0, slots.iter().position(Option::is_none).unwrap_or(0));
+            for (i, &c) in left.iter().enumerate() {
+                let d = centre(c) - middle;
+                for (s, slot) in slots.iter().enumerate() {
+                    let towards = |axis: usize| if s >> axis & 1 != 0 { d[axis] } else { -d[axis] };
+                    let gain = towards(0) + towards(1) + towards(2);
+                    if slot.is_none() && gain > best.0 {
+                        best = (gain, i, s);
+                    }
+                }
+            }
+            slots[best.2] = Some(left.remove(best.1));
+        }
+        slots
+    }
+
     /// The record of a node with these children. Its inner children will come at the end of the list.
-    fn node(&mut self, children: &[u32]) -> BvhNode {
-        let boxes: Vec<([f64; 3], [f64; 3])> = children
+    fn node(&mut self, children: &[Option<u32>; WIDTH]) -> BvhNode {
+        let boxes: ArrayVec<(usize, [f64; 3], [f64; 3]), WIDTH> = children
             .iter()
-            .map(|&c| {
-                let b = &self.binary[c as usize];
+            .enumerate()
+            .filter_map(|(slot, &c)| {
+                let b = &self.binary[c? as usize];
                 let grow = |p: f32, by: f64| f64::from(p) + by;
-                (
+                Some((
+                    slot,
                     b.min.to_array().map(|p| grow(p, -self.grown)),
                     b.max.to_array().map(|p| grow(p, self.grown)),
-                )
+                ))
             })
             .collect();
         let mut node = BvhNode {
             nodes: self.nodes.len() as u32,
-            references: self.references.len() as u32,
+            blocks: (self.references.len() / LEAF_TRIANGLES) as u32,
             ..NOTHING
         };
         for axis in 0..3 {
-            let low = boxes.iter().fold(f64::INFINITY, |m, b| m.min(b.0[axis]));
-            let high = boxes.iter().fold(f64::NEG_INFINITY, |m, b| m.max(b.1[axis]));
+            let low = boxes.iter().fold(f64::INFINITY, |m, b| m.min(b.1[axis]));
+            let high = boxes.iter().fold(f64::NEG_INFINITY, |m, b| m.max(b.2[axis]));
             let origin = (low as f32).next_down().clamp(f32::MIN, f32::MAX);
             let wanted = (high - f64::from(origin)) / 255.0;
             let mut exponent = 1u8;
@@ -328,17 +426,18 @@ impl Wide<'_> {
                 exponent += 1;
             }
             node.origin[axis] = origin;
-            node.exponent[axis] = exponent;
-            for (i, b) in boxes.iter().enumerate() {
+            node.step[axis] = step(exponent) as f32;
+            for &(i, ref low, ref high) in &boxes {
                 let at = |p: f64| (p - f64::from(origin)) / step(exponent);
                 // Saturating casts; a huge or infinite box becomes the whole frame.
-                node.bounds[axis][i] = at(b.0[axis]).floor() as u8;
-                node.bounds[axis + 3][i] = at(b.1[axis]).ceil() as u8;
+                node.bounds[axis][i] = at(low[axis]).floor() as u8;
+                node.bounds[axis][i + WIDTH] = at(high[axis]).ceil() as u8;
             }
         }
         let mut inner = 0;
         let mut first = 0;
         for (i, &child) in children.iter().enumerate() {
+            let Some(child) = child else { continue };
             let b = self.binary[child as usize];
             node.used |= 1 << i;
             if b.count == 0 {
@@ -347,9 +446,11 @@ impl Wide<'_> {
                 continue;
             }
             node.child[i] = ((b.count as u8 - 1) << 5) | first;
-            first += b.count as u8;
+            first += 1;
             let mine = &self.items[b.at as usize..(b.at + b.count) as usize];
             self.references.extend(mine.iter().map(|item| item.triangle));
+            self.references
+                .resize(self.references.len().next_multiple_of(LEAF_TRIANGLES), NO_TRIANGLE);
         }
         node
     }

@@ -1,4 +1,4 @@
-//! A bounding volume hierarchy of a tile, eight children wide, in eighty bytes a node.
+//! A bounding volume hierarchy of a tile, eight children wide, in 96 bytes a node.
 //!
 //! A wide node asks eight boxes at once, which is what a vector unit likes (Wald, Benthin and Boulos 2008,
 //! *Getting rid of packets*); boxes in eight bits a coordinate keep a room's hierarchy in the second-level cache
@@ -10,61 +10,82 @@
 //! that holds a triangle is entered no later than the triangle is hit. Ties go to the smaller index
 //! because a box at the best distance is still opened.
 
+mod batch;
 mod build;
+mod level;
 mod walk;
 
-pub use build::{build_bvh, bvh_build_bytes, bvh_bytes_estimate};
+pub use build::{build_bvh, bvh_build_bytes, bvh_bytes_estimate, complete_bvh};
 pub use enf_layout::bvh::{BvhHeader, BvhNode};
+pub use level::Instructions;
 
 use enf_layout::bvh::{
-    CHILD_INNER, CHILD_NONE, DEPTH, SECTION_HEADER, SECTION_NODES, SECTION_REFERENCES,
+    CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS,
+    SECTION_HEADER, SECTION_NODES, SECTION_REFERENCES, WIDTH,
 };
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
 
 use crate::aabb::Aabb;
+use crate::mesh::TileMesh;
 
 /// A hierarchy, borrowed from its blob.
 #[derive(Clone, Copy, Debug)]
 pub struct BvhView<'a> {
     header: &'a BvhHeader,
     nodes: &'a [BvhNode],
-    references: &'a [u32],
+    blocks: &'a [LeafBlock],
+    references: &'a [[u32; LEAF_TRIANGLES]],
+    delta: f32,
+    /// Origins beyond this along any axis are asked by force; all of them, if negative.
+    reach: f32,
 }
 
 impl<'a> BvhView<'a> {
-    /// Reads a blob (4-byte aligned) for a mesh of `triangle_count` triangles. Every index in it is
-    /// checked, so that a walk never leaves it.
-    pub fn from_blob(blob: &'a [u8], triangle_count: u32) -> Result<Self, Malformed> {
-        let bvh = Self::from_checked_blob(blob)?;
-        bvh.check(triangle_count).map_err(Malformed)?;
+    /// Reads a blob (4-byte aligned), to be asked about the mesh that it was built for with a tolerance not above the
+    /// one that it was built for (m). Every index in it is checked, so that a walk never leaves it.
+    pub fn from_blob(blob: &'a [u8], mesh: &TileMesh<'_>, delta: f32) -> Result<Self, Malformed> {
+        let bvh = Self::from_checked_blob(blob, delta)?;
+        bvh.check(mesh).map_err(Malformed)?;
         Ok(bvh)
     }
 
     /// A blob that [`BvhView::from_blob`] has accepted before, without checking each index again.
-    pub fn from_checked_blob(blob: &'a [u8]) -> Result<Self, Malformed> {
+    pub fn from_checked_blob(blob: &'a [u8], delta: f32) -> Result<Self, Malformed> {
         let headers: &[BvhHeader] = sections::section(blob, SECTION_HEADER)?;
         let [header] = headers else {
             return Err(Malformed(format!("hierarchy has {} headers", headers.len())));
         };
+        if !(delta <= header.delta) {
+            let built = header.delta;
+            return Err(Malformed(format!("hierarchy is for tolerance {built}, not {delta}")));
+        }
         Ok(Self {
             header,
             nodes: sections::section(blob, SECTION_NODES)?,
+            blocks: sections::section(blob, SECTION_BLOCKS)?,
             references: sections::section(blob, SECTION_REFERENCES)?,
+            delta,
+            reach: walk::reach(header, delta),
         })
     }
 
-    fn check(&self, triangle_count: u32) -> Result<(), String> {
+    fn check(&self, mesh: &TileMesh<'_>) -> Result<(), String> {
         let h = self.header;
+        let triangle_count = mesh.len();
         if triangle_count >= 1 << 29 {
             return Err(format!("hierarchy of {triangle_count} triangles"));
         }
-        if h.triangles != triangle_count || self.references.len() != triangle_count as usize {
+        let listed = self.references.as_flattened().iter().filter(|&&t| t != NO_TRIANGLE).count();
+        if h.triangles != triangle_count || listed != triangle_count as usize {
             return Err(format!(
-                "hierarchy is for {} triangles and lists {}, not {triangle_count}",
+                "hierarchy is for {} triangles and lists {listed}, not {triangle_count}",
                 h.triangles,
-                self.references.len()
             ));
+        }
+        if self.blocks.len() != self.references.len() {
+            let (b, r) = (self.blocks.len(), self.references.len());
+            return Err(format!("hierarchy has {b} blocks and references for {r}"));
         }
         let finite = |p: &[f32; 3]| p.iter().all(|x| x.is_finite());
         if !(finite(&h.min) && finite(&h.max) && h.delta >= 0.0) {
@@ -79,7 +100,8 @@ impl<'a> BvhView<'a> {
             if depth[i] == 0 || depth[i] as usize > DEPTH {
                 return Err(format!("hierarchy node {i} is at depth {}", depth[i]));
             }
-            if !finite(&node.origin) || node.exponent.iter().any(|e| !(1..=254).contains(e)) {
+            let sane = |step: &f32| step.is_normal() && *step > 0.0;
+            if !finite(&node.origin) || !node.step.iter().all(sane) || node.used > 255 {
                 return Err(format!("hierarchy node {i} has no frame"));
             }
             let mut inner = 0;
@@ -88,6 +110,10 @@ impl<'a> BvhView<'a> {
                     return Err(format!("hierarchy node {i} is not sure about child {slot}"));
                 }
                 if child == CHILD_NONE {
+                    let empty = |b: &[u8; 2 * WIDTH]| (b[slot], b[slot + WIDTH]) == (255, 0);
+                    if !node.bounds.iter().all(empty) {
+                        return Err(format!("hierarchy node {i} has a box for no child {slot}"));
+                    }
                     continue;
                 }
                 if child & CHILD_INNER != 0 {
@@ -102,14 +128,34 @@ impl<'a> BvhView<'a> {
                     inner += 1;
                     continue;
                 }
-                let first = u64::from(node.references) + u64::from(child & 31);
-                if first + u64::from(child >> 5) >= self.references.len() as u64 {
-                    return Err(format!("hierarchy node {i} has references from {first} on"));
+                let block = u64::from(node.blocks) + u64::from(child & 7);
+                let last = child >> 5;
+                let Some(lanes) = self.references.get(block as usize) else {
+                    return Err(format!("hierarchy node {i} has a block {block}"));
+                };
+                if lanes[..=last as usize].contains(&NO_TRIANGLE) {
+                    return Err(format!(
+                        "hierarchy block {block} has fewer triangles than node {i} says"
+                    ));
                 }
             }
         }
-        if let Some(i) = self.references.iter().position(|&r| r >= triangle_count) {
-            return Err(format!("hierarchy reference {i} is to triangle {}", self.references[i]));
+        for (i, (block, references)) in self.blocks.iter().zip(self.references).enumerate() {
+            for (lane, &triangle) in references.iter().enumerate() {
+                if triangle == NO_TRIANGLE {
+                    continue;
+                }
+                let same = mesh.triangles.get(triangle as usize).is_some() && {
+                    let corners = build::seen_by_rays(mesh, triangle);
+                    let here = |c: usize, x: usize| block.corners[c][x][lane].to_bits();
+                    (0..3).all(|c| (0..3).all(|x| corners[c][x].to_bits() == here(c, x)))
+                        && mesh.global[triangle as usize] == block.global[lane]
+                        && mesh.materials[triangle as usize] == block.material[lane]
+                };
+                if !same {
+                    return Err(format!("hierarchy block {i} is not as triangle {triangle}"));
+                }
+            }
         }
         Ok(())
     }
@@ -117,6 +163,28 @@ impl<'a> BvhView<'a> {
     /// Box, tolerance and count.
     pub fn header(&self) -> &'a BvhHeader {
         self.header
+    }
+
+    /// Corners of the triangle of a hit, m.
+    pub fn corners(&self, slot: u32) -> [Vec3; 3] {
+        let (block, lane) = (&self.blocks[(slot / 4) as usize], (slot % 4) as usize);
+        block.corners.map(|c| Vec3::new(c[0][lane], c[1][lane], c[2][lane]))
+    }
+
+    /// Its material.
+    pub fn material(&self, slot: u32) -> u32 {
+        self.blocks[(slot / 4) as usize].material[(slot % 4) as usize]
+    }
+
+    /// Its global index; `None` where a block has none.
+    fn global(&self, slot: u32) -> Option<u32> {
+        let (block, lane) = ((slot / 4) as usize, (slot % 4) as usize);
+        (self.references[block][lane] != NO_TRIANGLE).then(|| self.blocks[block].global[lane])
+    }
+
+    /// Number of blocks.
+    pub fn block_count(&self) -> usize {
+        self.blocks.len()
     }
 
     /// Number of nodes.

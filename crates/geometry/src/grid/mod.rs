@@ -23,6 +23,7 @@ use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
 
 use crate::aabb::Aabb;
+use crate::mesh::TileMesh;
 
 /// Most bricks of one grid.
 pub(crate) const MAX_BRICKS: u64 = 1 << 24;
@@ -34,33 +35,46 @@ pub struct GridView<'a> {
     bricks: &'a [BrickRecord],
     starts: &'a [u32],
     references: &'a [u32],
+    mesh: TileMesh<'a>,
+    delta: f32,
 }
 
 impl<'a> GridView<'a> {
-    /// Reads a blob (4-byte aligned) for a mesh of `triangle_count` triangles. Every index in it is
-    /// checked, so that a walk never leaves it.
-    pub fn from_blob(blob: &'a [u8], triangle_count: u32) -> Result<Self, Malformed> {
-        let grid = Self::from_checked_blob(blob)?;
-        grid.check(triangle_count).map_err(Malformed)?;
+    /// Reads a blob (4-byte aligned), to be asked about the mesh that it was built for with a tolerance not above the
+    /// one that it was built for (m). Every index in it is checked, so that a walk never leaves it.
+    pub fn from_blob(blob: &'a [u8], mesh: TileMesh<'a>, delta: f32) -> Result<Self, Malformed> {
+        let grid = Self::from_checked_blob(blob, mesh, delta)?;
+        grid.check().map_err(Malformed)?;
         Ok(grid)
     }
 
     /// A blob that [`GridView::from_blob`] has accepted before, without checking each index again.
-    pub fn from_checked_blob(blob: &'a [u8]) -> Result<Self, Malformed> {
+    pub fn from_checked_blob(
+        blob: &'a [u8],
+        mesh: TileMesh<'a>,
+        delta: f32,
+    ) -> Result<Self, Malformed> {
         let headers: &[GridHeader] = sections::section(blob, SECTION_HEADER)?;
         let [header] = headers else {
             return Err(Malformed(format!("grid has {} headers", headers.len())));
         };
+        if !(delta <= header.delta) {
+            let built = header.delta;
+            return Err(Malformed(format!("grid is for tolerance {built}, not {delta}")));
+        }
         Ok(Self {
             header,
             bricks: sections::section(blob, SECTION_BRICKS)?,
             starts: sections::section(blob, SECTION_STARTS)?,
             references: sections::section(blob, SECTION_REFERENCES)?,
+            mesh,
+            delta,
         })
     }
 
-    fn check(&self, triangle_count: u32) -> Result<(), String> {
+    fn check(&self) -> Result<(), String> {
         let h = self.header;
+        let triangle_count = self.mesh.len();
         if h.triangles != triangle_count {
             return Err(format!("grid is for {} triangles, not {triangle_count}", h.triangles));
         }
@@ -102,6 +116,16 @@ impl<'a> GridView<'a> {
             return Err(format!("grid reference {i} is to triangle {}", self.references[i]));
         }
         Ok(())
+    }
+
+    /// Corners of the triangle of a hit, m.
+    pub fn corners(&self, slot: u32) -> [Vec3; 3] {
+        self.mesh.corners(slot)
+    }
+
+    /// Its material.
+    pub fn material(&self, slot: u32) -> u32 {
+        self.mesh.materials[slot as usize]
     }
 
     /// Cell size, resolution and counts.

@@ -1,9 +1,8 @@
 //! Walking a ray through the bricks and cells (Amanatides and Woo 1987).
 
 use super::{BRICK, GridView};
-use crate::mesh::TileMesh;
-use crate::query::{Query, nearest_by_force};
-use crate::ray::{Hit, PreparedRay};
+use crate::query::{Query, Search};
+use crate::ray::Hit;
 
 /// Mailboxes (Amanatides and Woo 1987), few enough to clear for each ray: one holds the last triangle that
 /// was tested among those that share it.
@@ -13,57 +12,49 @@ const MAILBOXES: usize = 64;
 const FAR: f64 = (1u64 << 44) as f64;
 
 impl GridView<'_> {
-    /// The canonical hit with the smallest `(t, global)` among those with `t_min <= t < t_max` (m) on
-    /// triangles other than `exclude` (global index, or [`crate::NONE`]).
-    ///
-    /// `mesh` and `delta` are those that the grid was built for. The result is exactly that of
-    /// [`super::nearest_by_force`], which also takes over for a foreign mesh, a larger `delta`, and origins
-    /// 16 million scenes away.
-    pub fn nearest(
-        &self,
-        mesh: &TileMesh,
-        ray: &PreparedRay,
-        t_min: f32,
-        t_max: f32,
-        exclude: u32,
-        delta: f32,
-    ) -> Option<Hit> {
-        if !ray.valid {
-            return None;
+    /// The canonical hit with the smallest `(t, global)` among those that the query admits: exactly what testing
+    /// every triangle finds.
+    pub fn nearest(&self, query: &Query) -> Option<Hit> {
+        let mut search = Search::new(self.delta, query);
+        if search.is_sane() {
+            self.walk::<false>(&mut search);
         }
-        let query = Query::new(mesh, t_min, t_max, exclude, delta);
-        match ray.axis {
-            0 => self.walk::<0>(query, ray),
-            1 => self.walk::<1>(query, ray),
-            _ => self.walk::<2>(query, ray),
-        }
+        search.answer()
     }
 
-    fn walk<const Z: usize>(&self, mut query: Query, ray: &PreparedRay) -> Option<Hit> {
+    /// Whether the query admits any hit.
+    pub fn occluded(&self, query: &Query) -> bool {
+        let mut search = Search::new(self.delta, query);
+        if search.is_sane() {
+            self.walk::<true>(&mut search);
+        }
+        search.found
+    }
+
+    /// To any hit, or to the nearest.
+    fn walk<const ANY: bool>(&self, search: &mut Search) {
         let header = self.header;
         let far = FAR * f64::from(header.delta);
-        if query.mesh.len() != header.triangles
-            || query.delta > header.delta
-            || ray.origin64.iter().any(|x| x.abs() > far)
-        {
-            let (mesh, t_max) = (query.mesh, query.best.t);
-            return nearest_by_force(mesh, ray, query.t_min, t_max, query.exclude, query.delta);
+        let origin = search.ray.origin.map(f64::from);
+        let direction = search.ray.direction.map(f64::from);
+        if origin.iter().any(|x| x.abs() > far) {
+            return search.by_force(&self.mesh);
         }
 
         // Clip to the box. It has four tolerances of air, so rounding cannot cut off a hit.
-        let mut enter = f64::from(query.t_min);
-        let mut leave = f64::from(query.best.t);
+        let mut enter = f64::from(search.t_min);
+        let mut leave = f64::from(search.best.t);
         let scale = 1.0 / f64::from(header.cell);
         // Position at t, in cells: start + speed * t. Crossing of plane k: base + k * pace.
         let (mut start, mut speed) = ([0.0; 3], [0.0; 3]);
         let (mut base, mut pace) = ([f64::INFINITY; 3], [0.0; 3]);
         for i in 0..3 {
-            let (o, d) = (ray.origin64[i], ray.direction64[i]);
+            let (o, d) = (origin[i], direction[i]);
             let (low, high) = (f64::from(header.min[i]) - o, f64::from(header.max[i]) - o);
             start[i] = -low * scale;
             if d == 0.0 {
                 if low > 0.0 || high < 0.0 {
-                    return None;
+                    return;
                 }
                 continue;
             }
@@ -77,7 +68,7 @@ impl GridView<'_> {
         }
         // A NaN bound was dropped by min or max; no hit passes the test against it either.
         if enter > leave {
-            return None;
+            return;
         }
 
         let [nx, ny, nz] = header.bricks.map(|n| n as i32);
@@ -85,8 +76,8 @@ impl GridView<'_> {
         // Index step per brick along each axis, the far plane's offset, and the cells' bit step.
         let (mut step, mut ahead) = ([0i32; 3], [0.0; 3]);
         for i in 0..3 {
-            step[i] = if ray.direction64[i] < 0.0 { -1 } else { 1 };
-            ahead[i] = if ray.direction64[i] < 0.0 { 0.0 } else { 1.0 };
+            step[i] = if direction[i] < 0.0 { -1 } else { 1 };
+            ahead[i] = if direction[i] < 0.0 { 0.0 } else { 1.0 };
         }
         let stride = [step[0], step[1] * nx, step[2] * nx * ny];
         let edge = f64::from(BRICK);
@@ -133,14 +124,16 @@ impl GridView<'_> {
                                 continue;
                             }
                             *mailbox = triangle;
-                            query.test::<Z>(ray, triangle);
+                            let corners = self.mesh.corner_arrays(triangle);
+                            let global = self.mesh.global[triangle as usize];
+                            search.test(corners, global, triangle);
                         }
-                        if f64::from(query.best.t) < end {
-                            return query.answer();
+                        if (ANY && search.found) || f64::from(search.best.t) < end {
+                            return;
                         }
                     }
                     if end >= leave {
-                        return query.answer();
+                        return;
                     }
                     left[axis] -= 1;
                     if left[axis] < 0 {
@@ -152,12 +145,12 @@ impl GridView<'_> {
             }
             let axis = first_of(&brick_exit);
             enter = brick_exit[axis];
-            if enter >= leave || f64::from(query.best.t) < enter {
-                return query.answer();
+            if enter >= leave || f64::from(search.best.t) < enter {
+                return;
             }
             ahead_bricks[axis] -= 1;
             if ahead_bricks[axis] < 0 {
-                return query.answer();
+                return;
             }
             brick[axis] += step[axis];
             index = (index as i64 + i64::from(stride[axis])) as usize;

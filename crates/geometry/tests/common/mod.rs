@@ -1,8 +1,133 @@
 //! Scenes and rays that are out to get us.
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
-use enf_geometry::{Ray, TileMesh};
+pub mod closed;
+
+use enf_geometry::{
+    BvhView, GridView, Hit, NONE, Query, Ray, Structure, StructureKind, TileMesh, nearest_by_force,
+};
 use glam::Vec3;
+
+pub const KINDS: [StructureKind; 2] = [StructureKind::Grid, StructureKind::Bvh];
+
+/// A query with an open interval.
+pub fn anything(ray: Ray) -> Query {
+    Query { ray, t_min: 0.0, t_max: f32::INFINITY, exclude: NONE }
+}
+
+/// A structure, ready to be asked.
+pub fn complete(kind: StructureKind, mesh: &TileMesh<'_>, delta: f32) -> Vec<u8> {
+    let mut blob = kind.build(mesh, delta);
+    kind.complete(&mut blob, mesh).unwrap();
+    blob
+}
+
+/// A mesh and its structures, as bytes.
+pub struct Blobs {
+    pub mesh: Vec<u8>,
+    pub structures: [Vec<u8>; 2],
+    pub delta: f32,
+}
+
+impl Blobs {
+    pub fn new(triangles: &[Corners], delta: f32) -> Self {
+        Self::of_mesh(blob(triangles), delta)
+    }
+
+    pub fn of_mesh(mesh: Vec<u8>, delta: f32) -> Self {
+        let view = TileMesh::from_blob(&mesh).unwrap();
+        let structures = KINDS.map(|kind| complete(kind, &view, delta));
+        Self { mesh, structures, delta }
+    }
+
+    pub fn tile(&self) -> Tile<'_> {
+        let mesh = TileMesh::from_blob(&self.mesh).unwrap();
+        let [grid, bvh] = &self.structures;
+        Tile {
+            mesh,
+            delta: self.delta,
+            grid: GridView::from_blob(grid, mesh, self.delta).unwrap(),
+            bvh: BvhView::from_blob(bvh, &mesh, self.delta).unwrap(),
+        }
+    }
+}
+
+/// A mesh and everybody who can be asked about it.
+#[derive(Clone, Copy)]
+pub struct Tile<'a> {
+    pub mesh: TileMesh<'a>,
+    pub delta: f32,
+    pub grid: GridView<'a>,
+    pub bvh: BvhView<'a>,
+}
+
+/// All that counts of a hit, in bits. Two zeros are two answers.
+pub fn bits(hit: Option<Hit>) -> Option<[u32; 4]> {
+    hit.map(|h| [h.t.to_bits(), h.global, h.u.to_bits(), h.v.to_bits()])
+}
+
+impl Tile<'_> {
+    pub fn by_force(&self, query: &Query) -> Option<Hit> {
+        nearest_by_force(&self.mesh, self.delta, query)
+    }
+
+    /// The only place that knows how batches are asked.
+    pub fn batch(&self, queries: &[Query]) -> Vec<Option<Hit>> {
+        let mut answers = vec![None; queries.len()];
+        self.bvh.nearest_batch(queries, &mut answers);
+        answers
+    }
+
+    /// Every way of asking one query.
+    pub fn ways(&self, query: &Query) -> Vec<(&'static str, Option<Hit>)> {
+        let structure = Structure::Bvh(self.bvh);
+        vec![
+            ("grid", self.grid.nearest(query)),
+            ("hierarchy", self.bvh.nearest(query)),
+            ("hierarchy, portable", self.bvh.nearest_with(enf_geometry::Instructions::Portable, query)),
+            ("hierarchy, by its kind", structure.nearest(query)),
+        ]
+    }
+
+    /// Every way of asking must give this answer, to the bit, and know where it keeps the triangle.
+    pub fn check(&self, query: &Query, truth: Option<Hit>) {
+        for (way, found) in self.ways(query) {
+            assert_eq!(bits(found), bits(truth), "{way}: {}", spelt(query));
+            let Some(hit) = found else { continue };
+            let i = self.mesh.global.binary_search(&hit.global).unwrap();
+            let (corners, material) = match way {
+                "grid" => (self.grid.corners(hit.slot), self.grid.material(hit.slot)),
+                _ => (self.bvh.corners(hit.slot), self.bvh.material(hit.slot)),
+            };
+            assert_eq!(corners, self.mesh.corners(i as u32), "{way}: {}", spelt(query));
+            assert_eq!(material, self.mesh.materials[i], "{way}: {}", spelt(query));
+        }
+    }
+
+    /// All at once must give these answers.
+    pub fn check_batch(&self, queries: &[Query], truths: &[Option<Hit>]) {
+        let found = self.batch(queries);
+        assert_eq!(found.len(), truths.len());
+        for ((query, found), truth) in queries.iter().zip(found).zip(truths) {
+            assert_eq!(bits(found), bits(*truth), "batch: {}", spelt(query));
+        }
+    }
+}
+
+/// A query that can be typed in again.
+pub fn spelt(query: &Query) -> String {
+    let hex = |p: Vec3| p.to_array().map(|x| format!("{:#010x}", x.to_bits())).join(", ");
+    let Query { ray, t_min, t_max, exclude } = query;
+    format!(
+        "origin {} ({}), direction {} ({}), t from {t_min} ({:#010x}) to {t_max} ({:#010x}), not {exclude}",
+        ray.origin,
+        hex(ray.origin),
+        ray.direction,
+        hex(ray.direction),
+        t_min.to_bits(),
+        t_max.to_bits()
+    )
+}
 
 /// splitmix64
 pub struct Random(pub u64);
