@@ -31,7 +31,10 @@ pub fn builds(
     let mut contenders: Vec<Contender<Failure>> = Vec::new();
     for &kind in &args.structures {
         let name = format!("ours, {}", kind.name());
-        contenders.push(Contender::new(name, move || kind.build(tile, delta)));
+        contenders.push(Contender::fallible(name, move || {
+            kind.build(tile, delta)
+                .map_err(|malformed| Failure::Ours { scene: scene.name.clone(), malformed })
+        }));
     }
     let qualities = [
         ("Embree, medium", Quality::Medium),
@@ -69,6 +72,8 @@ pub struct Input<'i> {
     pub neat: &'i [Flight],
     /// Shadow rays, shuffled.
     pub shadows: &'i [Flight],
+    /// The same sorted.
+    pub neat_shadows: &'i [Flight],
 }
 
 impl Input<'_> {
@@ -76,10 +81,10 @@ impl Input<'_> {
     pub fn queries(&self, threads: u32) -> Result<Vec<Group>, Failure> {
         let queries = |flights: &[Flight]| flights.iter().map(query).collect::<Vec<_>>();
         let beams = |flights: &[Flight]| flights.iter().map(beam).collect::<Vec<_>>();
-        let random = (queries(self.random), beams(self.random));
-        let walk = (queries(self.walk), beams(self.walk));
-        let shadows = (queries(self.shadows), beams(self.shadows));
-        let neat = beams(self.neat);
+        let random = &(queries(self.random), beams(self.random));
+        let walk = &(queries(self.walk), beams(self.walk));
+        let shadows = &(queries(self.shadows), beams(self.shadows));
+        let (neat, neat_shadows) = (beams(self.neat), beams(self.neat_shadows));
         let [medium, high, robust] = self.embree;
         let kinds = || self.args.structures.iter().zip(self.ours);
         let mut groups = Vec::new();
@@ -96,9 +101,12 @@ impl Input<'_> {
             contenders
                 .push(Contender::new(name, || single(threads, &random.0, |q| ours.nearest(q))));
         }
-        if let Some((kind, ours)) = kinds().next() {
-            let name = format!("ours, {}, portable", kind.name());
-            let ask = || single(threads, &random.0, |q| ours.nearest_portable(q));
+        // What else the machine could do, for the first kind.
+        let lesser = self.args.structures[0].lesser();
+        for &instructions in &lesser {
+            let name = format!("ours, {instructions:?}");
+            let ask =
+                move || single(threads, &random.0, |q| self.ours[0].nearest_with(instructions, q));
             contenders.push(Contender::new(name, ask));
         }
         if !self.rooms.is_empty() {
@@ -128,26 +136,30 @@ impl Input<'_> {
         )?;
 
         let batch = self.args.batch as usize;
-        let batches = |ours: &Ours<'_>, queries: &[Query]| {
-            // As many for each thread, so that none waits for the last one.
-            let pieces = queries.len().div_ceil(batch).next_multiple_of(threads as usize);
-            let piece = queries.len().div_ceil(pieces.max(1)).max(1);
-            spread(threads, queries.len(), piece, |next| {
-                let mut answers = vec![None; piece];
-                let mut sum = 0.0;
-                while let Some(range) = next() {
-                    let answers = &mut answers[..range.len()];
-                    ours.nearest_batch(&queries[range], answers);
-                    sum += answers.iter().flatten().map(|hit| f64::from(hit.t)).sum::<f64>();
-                }
-                sum
-            })
+        // As many for each thread, so that none waits for the last one.
+        let piece = |count: usize| {
+            let pieces = count.div_ceil(batch).next_multiple_of(threads as usize);
+            count.div_ceil(pieces.max(1)).max(1)
         };
-        let batches = &batches;
+        let batches = |ours: &Ours<'_>, queries: &[Query]| {
+            let piece = piece(queries.len());
+            in_batches(threads, queries, piece, |q, answers| ours.nearest_batch(q, answers))
+        };
+        let (piece, batches) = (&piece, &batches);
         let mut contenders = Vec::new();
         for (kind, ours) in kinds() {
             let name = format!("ours, {}, batches of shuffled rays", kind.name());
             contenders.push(Contender::new(name, || batches(ours, &random.0)));
+        }
+        for &instructions in &lesser {
+            contenders.push(Contender::new(
+                format!("ours, {instructions:?}, batches"),
+                move || {
+                    in_batches(threads, &random.0, piece(random.0.len()), |q, answers| {
+                        self.ours[0].nearest_batch_with(instructions, q, answers);
+                    })
+                },
+            ));
         }
         let ordered = || batches(&self.ours[0], &walk.0);
         contenders.push(Contender::new("ours, batches in the photons' order", ordered));
@@ -188,6 +200,31 @@ impl Input<'_> {
             contenders.push(Contender::new(name, ask));
         }
         measure("shadow rays, one by one, shuffled", &contenders)?;
+
+        let mut contenders = Vec::new();
+        for (kind, ours) in kinds() {
+            let name = format!("ours, {}, batches of shuffled rays", kind.name());
+            let piece = piece(shadows.0.len());
+            contenders.push(Contender::new(name, move || {
+                dark_in_batches(threads, &shadows.0, piece, |q, dark| ours.occluded_batch(q, dark))
+            }));
+        }
+        for (order, beams) in [("sorted", &neat_shadows), ("shuffled", &shadows.1)] {
+            let name = |n: u32| format!("Embree, packets on {order} rays, rtcOccluded{n}");
+            contenders.push(Contender::new(name(8), move || {
+                packets(threads, beams, |beams, sum| {
+                    medium.occluded8(beams, |dark| *sum += f64::from(u8::from(dark)));
+                })
+            }));
+            contenders.push(Contender::new(name(16), move || {
+                packets(threads, beams, |beams, sum| {
+                    medium.occluded16(beams, |dark| *sum += f64::from(u8::from(dark)));
+                })
+            }));
+        }
+        let ask = || any(threads, &neat_shadows, |beam| medium.occluded(beam));
+        contenders.push(Contender::new("Embree, sorted rays, rtcOccluded1", ask));
+        measure("shadow rays, many at a time", &contenders)?;
         Ok(groups)
     }
 }
@@ -205,7 +242,45 @@ fn single(threads: u32, queries: &[Query], nearest: impl Fn(&Query) -> Option<Hi
     })
 }
 
-/// The same of Embree.
+/// Asks for nearest hits in batches of `piece`; the sum of their distances.
+fn in_batches(
+    threads: u32,
+    queries: &[Query],
+    piece: usize,
+    nearest: impl Fn(&[Query], &mut [Option<Hit>]) + Sync,
+) -> f64 {
+    spread(threads, queries.len(), piece, |next| {
+        let mut answers = vec![None; piece];
+        let mut sum = 0.0;
+        while let Some(range) = next() {
+            let answers = &mut answers[..range.len()];
+            nearest(&queries[range], answers);
+            sum += answers.iter().flatten().map(|hit| f64::from(hit.t)).sum::<f64>();
+        }
+        sum
+    })
+}
+
+/// Asks whether anything is in the way, in batches of `piece`; how often.
+fn dark_in_batches(
+    threads: u32,
+    queries: &[Query],
+    piece: usize,
+    occluded: impl Fn(&[Query], &mut [bool]) + Sync,
+) -> f64 {
+    spread(threads, queries.len(), piece, |next| {
+        let mut answers = vec![false; piece];
+        let mut count = 0;
+        while let Some(range) = next() {
+            let answers = &mut answers[..range.len()];
+            occluded(&queries[range], answers);
+            count += answers.iter().filter(|&&dark| dark).count();
+        }
+        count as f64
+    })
+}
+
+/// Asks Embree for nearest hits one by one; the sum of their distances.
 fn embree_single(threads: u32, beams: &[Beam], scene: &embree::Scene<'_>) -> f64 {
     spread(threads, beams.len(), PIECE, |next| {
         let mut sum = 0.0;
@@ -218,7 +293,7 @@ fn embree_single(threads: u32, beams: &[Beam], scene: &embree::Scene<'_>) -> f64
     })
 }
 
-/// The same of Embree's packets.
+/// Asks Embree in packets, whose answers `ask` adds up.
 fn packets(threads: u32, beams: &[Beam], ask: impl Fn(&[Beam], &mut f64) + Sync) -> f64 {
     spread(threads, beams.len(), PIECE, |next| {
         let mut sum = 0.0;

@@ -146,7 +146,7 @@ struct RayHit {
     room: [c_uint; 8],
 }
 
-/// `RTCRayHit8` and `RTCRayHit16`, with room behind.
+/// `RTCRayHit8` and `RTCRayHit16`, with room behind. They begin with what `RTCRay8` and `RTCRay16` are.
 #[repr(C, align(64))]
 struct Packet<const N: usize> {
     origin: [[f32; N]; 3],
@@ -215,12 +215,16 @@ enum Queries {
         occluded: One3<Ray>,
         nearest8: Many3<Packet<8>>,
         nearest16: Many3<Packet<16>>,
+        occluded8: Many3<Packet<8>>,
+        occluded16: Many3<Packet<16>>,
     },
     Four {
         nearest: One4<RayHit>,
         occluded: One4<Ray>,
         nearest8: Many4<Packet<8>>,
         nearest16: Many4<Packet<16>>,
+        occluded8: Many4<Packet<8>>,
+        occluded16: Many4<Packet<16>>,
     },
 }
 
@@ -305,12 +309,16 @@ impl Embree {
                     occluded: find(library, &path, "rtcOccluded1")?,
                     nearest8: find(library, &path, "rtcIntersect8")?,
                     nearest16: find(library, &path, "rtcIntersect16")?,
+                    occluded8: find(library, &path, "rtcOccluded8")?,
+                    occluded16: find(library, &path, "rtcOccluded16")?,
                 },
                 4 => Queries::Four {
                     nearest: find(library, &path, "rtcIntersect1")?,
                     occluded: find(library, &path, "rtcOccluded1")?,
                     nearest8: find(library, &path, "rtcIntersect8")?,
                     nearest16: find(library, &path, "rtcIntersect16")?,
+                    occluded8: find(library, &path, "rtcOccluded8")?,
+                    occluded16: find(library, &path, "rtcOccluded16")?,
                 },
                 version => return Err(EmbreeError::Version { path, version }),
             }
@@ -566,6 +574,46 @@ impl Scene<'_> {
             scatter(&packet, beams.len(), &mut each);
         }
     }
+
+    /// `rtcOccluded8`, eight rays at a time; `each` is told the answers in the order of the rays.
+    pub fn occluded8(&self, beams: &[Beam], mut each: impl FnMut(bool)) {
+        for beams in beams.chunks(8) {
+            let (mut packet, valid) = gather::<8>(beams);
+            let scene = self.handle.as_ptr();
+            // SAFETY: the scene is committed; packet and mask are aligned and larger than the version wants.
+            unsafe {
+                match self.embree.queries {
+                    Queries::Three { occluded8, .. } => {
+                        occluded8(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
+                    }
+                    Queries::Four { occluded8, .. } => {
+                        occluded8(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
+                    }
+                }
+            }
+            packet.far.iter().take(beams.len()).for_each(|&far| each(far < 0.0));
+        }
+    }
+
+    /// `rtcOccluded16`, sixteen rays at a time; `each` is told the answers in the order of the rays.
+    pub fn occluded16(&self, beams: &[Beam], mut each: impl FnMut(bool)) {
+        for beams in beams.chunks(16) {
+            let (mut packet, valid) = gather::<16>(beams);
+            let scene = self.handle.as_ptr();
+            // SAFETY: the scene is committed; packet and mask are aligned and larger than the version wants.
+            unsafe {
+                match self.embree.queries {
+                    Queries::Three { occluded16, .. } => {
+                        occluded16(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
+                    }
+                    Queries::Four { occluded16, .. } => {
+                        occluded16(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
+                    }
+                }
+            }
+            packet.far.iter().take(beams.len()).for_each(|&far| each(far < 0.0));
+        }
+    }
 }
 
 impl Drop for Scene<'_> {
@@ -774,7 +822,11 @@ mod tests {
             let (mut eight, mut sixteen) = (Vec::new(), Vec::new());
             scene.nearest8(&list, |found| eight.push(found));
             scene.nearest16(&list, |found| sixteen.push(found));
+            let (mut dark8, mut dark16) = (Vec::new(), Vec::new());
+            scene.occluded8(&list, |dark| dark8.push(dark));
+            scene.occluded16(&list, |dark| dark16.push(dark));
             for (i, (beam, expected)) in beams.iter().enumerate() {
+                assert_eq!((dark8[i], dark16[i]), (expected.is_some(), expected.is_some()));
                 assert_eq!(scene.nearest(beam), *expected, "{beam:?}");
                 assert_eq!((eight[i], sixteen[i]), (*expected, *expected), "{beam:?}");
                 assert_eq!(scene.occluded(beam), expected.is_some(), "{beam:?}");

@@ -123,8 +123,11 @@ struct Built<'t, 's> {
 }
 
 impl<'t, 's> Built<'t, 's> {
-    fn new(kind: Kind, tile: &'t Tile<'s>, delta: f32) -> Self {
-        Self { kind, tile, blob: kind.build(tile, delta) }
+    fn new(kind: Kind, tile: &'t Tile<'s>, scene: &Scene) -> Result<Self, Failure> {
+        let blob = kind
+            .build(tile, scene.delta())
+            .map_err(|malformed| Failure::Ours { scene: scene.name.clone(), malformed })?;
+        Ok(Self { kind, tile, blob })
     }
 
     fn open(&self, scene: &Scene) -> Result<Ours<'_>, Failure> {
@@ -143,8 +146,11 @@ fn bench(
     let delta = scene.delta();
     let id = (scene.name.as_str(), scene.triangles.len());
     let tile = Tile::whole(scene);
-    let built: Vec<Built> =
-        args.structures.iter().map(|&kind| Built::new(kind, &tile, delta)).collect();
+    let built: Vec<Built> = args
+        .structures
+        .iter()
+        .map(|&kind| Built::new(kind, &tile, scene))
+        .collect::<Result<_, _>>()?;
     let ours: Vec<Ours> = built.iter().map(|b| b.open(scene)).collect::<Result<_, _>>()?;
 
     // The rays.
@@ -159,6 +165,7 @@ fn bench(
     let random = shuffled(&walks.flights, args.seed);
     let neat = sorted(&walks.flights, scene.bounds());
     let shadows = shuffled(&walks.shadows, args.seed);
+    let neat_shadows = sorted(&walks.shadows, scene.bounds());
     say(&format!(
         "\n{}: {} triangles, {} vertices, {} lights, {} rooms, delta {:.3} mm; \
          {count} rays of {} photons ({} escaped), {count} shadow rays",
@@ -179,11 +186,18 @@ fn bench(
     let medium = build(Quality::Medium)?;
     let high = build(Quality::High)?;
     let robust = build(Quality::Robust)?;
-    let mut sizes: Vec<(String, usize)> =
-        built.iter().map(|b| (format!("ours, {}", b.kind.name()), b.blob.len())).collect();
-    sizes.push(("Embree, medium".into(), medium.bytes()));
-    sizes.push(("Embree, high".into(), high.bytes()));
-    sizes.push(("Embree, compact".into(), build(Quality::Compact)?.bytes()));
+    let mut sizes = Vec::new();
+    for b in &built {
+        let size = b.blob.len();
+        sizes.push((format!("ours, {}", b.kind.name()), size, size + tile.kept_bytes(b.kind)));
+    }
+    for (name, size) in [
+        ("Embree, medium", medium.bytes()),
+        ("Embree, high", high.bytes()),
+        ("Embree, compact", build(Quality::Compact)?.bytes()),
+    ] {
+        sizes.push((name.to_owned(), size, size + tile.mesh_bytes()));
+    }
     bytes(scene, &tile, &sizes, table);
 
     // Do all say the same?
@@ -193,7 +207,7 @@ fn bench(
     if !agreement.tolerable() {
         return Err(Failure::Apart { scene: scene.name.clone(), agreement });
     }
-    same_among_ours(args, scene, &ours, &random)?;
+    same_among_ours(args, scene, &ours, &random, &shadows)?;
 
     // The building, room by room.
     let apart = scene.rooms.len() > 1;
@@ -202,7 +216,8 @@ fn bench(
         false => Vec::new(),
     };
     let kind = args.structures[0];
-    let blobs: Vec<Built> = tiles.iter().map(|tile| Built::new(kind, tile, delta)).collect();
+    let blobs: Vec<Built> =
+        tiles.iter().map(|tile| Built::new(kind, tile, scene)).collect::<Result<_, _>>()?;
     let queues = if apart { by_rooms(scene, &ours[0], &random) } else { Vec::new() };
     let rooms = rooms(scene, &ours[0], &random, &blobs, &queues)?;
     if apart {
@@ -232,6 +247,7 @@ fn bench(
         walk: &walks.flights,
         neat: &neat,
         shadows: &shadows,
+        neat_shadows: &neat_shadows,
     };
     let mut verdicts = Vec::new();
     for &threads in &args.threads {
@@ -242,21 +258,26 @@ fn bench(
     Ok(verdicts)
 }
 
-/// Prints and keeps what structures take.
-fn bytes(scene: &Scene, tile: &Tile<'_>, sizes: &[(String, usize)], table: &mut Table) {
+/// Prints and keeps what structures take: alone, and with all that stays in memory while rays are traced.
+fn bytes(scene: &Scene, tile: &Tile<'_>, sizes: &[(String, usize, usize)], table: &mut Table) {
     let triangles = scene.triangles.len();
-    let head = format!(
-        "  {:<58} {:>9}   {:>26}",
-        "bytes a triangle", "structure", "with vertices and indices"
-    );
-    say(&head);
-    for (name, size) in sizes {
-        let alone = *size as f64 / triangles as f64;
-        let together = (size + tile.mesh_bytes()) as f64 / triangles as f64;
-        say(&format!("    {name:<56} {alone:>9.1}   {together:>26.1}"));
-        let id = (scene.name.as_str(), triangles);
-        table.figure(id, "structure", name, "bytes a triangle", alone);
-        table.figure(id, "structure, vertices and indices", name, "bytes a triangle", together);
+    let share = |bytes: usize| bytes as f64 / triangles as f64;
+    say(&format!(
+        "  {:<58} {:>9}   {:>26}   {:>13}",
+        "bytes a triangle", "structure", "with vertices and indices", "while tracing"
+    ));
+    for (name, size, kept) in sizes {
+        let figures = [
+            ("structure", share(*size)),
+            ("structure, vertices and indices", share(size + tile.mesh_bytes())),
+            ("in memory while tracing", share(*kept)),
+        ];
+        let [alone, together, kept] = figures.map(|(_, figure)| figure);
+        say(&format!("    {name:<56} {alone:>9.1}   {together:>26.1}   {kept:>13.1}"));
+        for (measure, figure) in figures {
+            let id = (scene.name.as_str(), triangles);
+            table.figure(id, measure, name, "bytes a triangle", figure);
+        }
     }
 }
 
@@ -266,6 +287,7 @@ fn same_among_ours(
     scene: &Scene,
     ours: &[Ours<'_>],
     flights: &[Flight],
+    shadows: &[Flight],
 ) -> Result<(), Failure> {
     let queries: Vec<Query> = flights.iter().map(query).collect();
     let expected: Vec<Option<Hit>> = queries.iter().map(|query| ours[0].nearest(query)).collect();
@@ -277,12 +299,29 @@ fn same_among_ours(
     for (kind, ours) in args.structures.iter().zip(ours) {
         let single: Vec<Option<Hit>> = queries.iter().map(|query| ours.nearest(query)).collect();
         compare(kind.name().into(), &single)?;
-        let portable: Vec<Option<Hit>> =
-            queries.iter().map(|query| ours.nearest_portable(query)).collect();
-        compare(format!("{}, portable", kind.name()), &portable)?;
         let mut batch = vec![None; queries.len()];
         ours.nearest_batch(&queries, &mut batch);
         compare(format!("{}, in batches", kind.name()), &batch)?;
+        for instructions in kind.lesser() {
+            let single: Vec<Option<Hit>> =
+                queries.iter().map(|query| ours.nearest_with(instructions, query)).collect();
+            compare(format!("{}, {instructions:?}", kind.name()), &single)?;
+            ours.nearest_batch_with(instructions, &queries, &mut batch);
+            compare(format!("{}, {instructions:?}, in batches", kind.name()), &batch)?;
+        }
+        // Of shadow rays, only whether.
+        let queries: Vec<Query> = shadows.iter().map(query).collect();
+        let mut batch = vec![false; queries.len()];
+        ours.occluded_batch(&queries, &mut batch);
+        let differ = |(query, answer): &(&Query, bool)| {
+            ours.occluded(query) != *answer || ours.nearest(query).is_some() != *answer
+        };
+        let count = queries.iter().zip(batch).filter(differ).count();
+        if count > 0 {
+            let ours = format!("{}, shadow rays in batches", kind.name());
+            let (scene, reference) = (scene.name.clone(), kind.name().to_owned());
+            return Err(Failure::Unequal { scene, ours, reference, count });
+        }
     }
     Ok(())
 }
@@ -339,10 +378,11 @@ fn verdict(scene: &Scene, threads: u32, build: &Group, queries: &[Group]) -> Ver
     if threads == 1 {
         add("build", build, "Embree, medium");
     }
-    if let [single, _, batch, shadow] = queries {
+    if let [single, _, batch, shadow, shadows] = queries {
         add("nearest hits, single", single, "Embree");
         add("nearest hits, batches", batch, PACKETS_SORTED);
-        add("shadow rays", shadow, "Embree");
+        add("shadow rays, single", shadow, "Embree");
+        add("shadow rays, batches", shadows, PACKETS_SORTED);
     }
     Verdict { scene: scene.name.clone(), threads, ratios }
 }

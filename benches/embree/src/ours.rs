@@ -3,13 +3,13 @@
 use std::borrow::Cow;
 
 use clap::ValueEnum;
-use enf_geometry::{Malformed, NONE, PreparedRay, Ray, Structure, StructureKind, TileMesh};
+use enf_geometry::{Malformed, NONE, Ray, Structure, StructureKind, TileMesh};
 use glam::Vec3;
 
 use crate::scene::{Room, Scene};
 use crate::walk::{Flight, Landing};
 
-pub use enf_geometry::Hit;
+pub use enf_geometry::{Hit, Instructions, Query};
 
 /// Structures to choose from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -29,6 +29,13 @@ impl Kind {
         }
     }
 
+    /// The instructions that it can be asked by, besides the best.
+    pub fn lesser(self) -> Vec<Instructions> {
+        let mut all: Vec<_> = Instructions::ALL.into_iter().filter(|i| i.available()).collect();
+        all.pop();
+        if self == Self::Bvh { all } else { Vec::new() }
+    }
+
     fn structure(self) -> StructureKind {
         match self {
             Self::Bvh => StructureKind::Bvh,
@@ -36,23 +43,12 @@ impl Kind {
         }
     }
 
-    /// Builds the structure of a tile for tolerance `delta` (m).
-    pub fn build(self, tile: &Tile<'_>, delta: f32) -> Vec<u8> {
-        self.structure().build(&tile.mesh(), delta)
+    /// Builds the structure of a tile for tolerance `delta` (m), ready to be asked.
+    pub fn build(self, tile: &Tile<'_>, delta: f32) -> Result<Vec<u8>, Malformed> {
+        let mut blob = self.structure().build(&tile.mesh(), delta);
+        self.structure().complete(&mut blob, &tile.mesh())?;
+        Ok(blob)
     }
-}
-
-/// One query.
-#[derive(Clone, Copy, Debug)]
-pub struct Query {
-    /// The ray, m.
-    pub ray: Ray,
-    /// Hits count from here, m.
-    pub t_min: f32,
-    /// Hits count up to here, m.
-    pub t_max: f32,
-    /// Index in the scene of a triangle that does not count, or `NONE`.
-    pub exclude: u32,
 }
 
 /// A flight, as we are asked about it.
@@ -126,13 +122,20 @@ impl<'s> Tile<'s> {
     pub fn mesh_bytes(&self) -> usize {
         12 * (self.vertices.len() + self.triangles.len())
     }
+
+    /// What stays in memory beside a structure while rays are traced: nothing where it has triangles, global indices and
+    /// materials of its own.
+    pub fn kept_bytes(&self, kind: Kind) -> usize {
+        match kind {
+            Kind::Bvh => 0,
+            Kind::Grid => self.mesh_bytes() + 4 * (self.global.len() + self.materials.len()),
+        }
+    }
 }
 
-/// A structure and its mesh, ready to be asked.
+/// A structure, ready to be asked.
 pub struct Ours<'a> {
     structure: Structure<'a>,
-    mesh: TileMesh<'a>,
-    delta: f32,
 }
 
 impl<'a> Ours<'a> {
@@ -143,48 +146,52 @@ impl<'a> Ours<'a> {
         tile: &'a Tile<'_>,
         delta: f32,
     ) -> Result<Self, Malformed> {
-        let mesh = tile.mesh();
-        Ok(Self {
-            structure: Structure::from_blob(kind.structure(), blob, mesh.len())?,
-            mesh,
-            delta,
-        })
+        let structure = Structure::from_blob(kind.structure(), blob, tile.mesh(), delta)?;
+        Ok(Self { structure })
     }
 
     /// The nearest hit.
     #[inline]
     pub fn nearest(&self, query: &Query) -> Option<Hit> {
-        let ray = PreparedRay::new(&query.ray);
-        let Query { t_min, t_max, exclude, .. } = *query;
-        self.structure.nearest(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
+        self.structure.nearest(query)
     }
 
-    /// The nearest hit, without vector instructions beyond the machine's least. `None` where there is no such way.
+    /// The nearest hit, by certain instructions; the grid has one way only.
     #[inline]
-    pub fn nearest_portable(&self, query: &Query) -> Option<Hit> {
-        let ray = PreparedRay::new(&query.ray);
-        let Query { t_min, t_max, exclude, .. } = *query;
+    pub fn nearest_with(&self, instructions: Instructions, query: &Query) -> Option<Hit> {
         match &self.structure {
-            Structure::Grid(grid) => {
-                grid.nearest(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
-            }
-            Structure::Bvh(bvh) => {
-                bvh.nearest_portable(&self.mesh, &ray, t_min, t_max, exclude, self.delta)
-            }
+            Structure::Grid(grid) => grid.nearest(query),
+            Structure::Bvh(bvh) => bvh.nearest_with(instructions, query),
+        }
+    }
+
+    /// The nearest hits of many.
+    pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        self.structure.nearest_batch(queries, answers);
+    }
+
+    /// The nearest hits of many, by certain instructions; the grid has one way only.
+    pub fn nearest_batch_with(
+        &self,
+        instructions: Instructions,
+        queries: &[Query],
+        answers: &mut [Option<Hit>],
+    ) {
+        match &self.structure {
+            Structure::Grid(_) => self.nearest_batch(queries, answers),
+            Structure::Bvh(bvh) => bvh.nearest_batch_with(instructions, queries, answers),
         }
     }
 
     /// Whether anything is in the way.
     #[inline]
     pub fn occluded(&self, query: &Query) -> bool {
-        self.nearest(query).is_some()
+        self.structure.occluded(query)
     }
 
-    /// The nearest hits of many.
-    pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
-        for (query, answer) in queries.iter().zip(answers) {
-            *answer = self.nearest(query);
-        }
+    /// Whether anything is in the way of each of many.
+    pub fn occluded_batch(&self, queries: &[Query], answers: &mut [bool]) {
+        self.structure.occluded_batch(queries, answers);
     }
 
     /// Where a flight lands.
@@ -245,7 +252,7 @@ mod tests {
         let scene = plan.draw();
         let delta = scene.delta();
         let tile = Tile::whole(&scene);
-        let blob = Kind::Bvh.build(&tile, delta);
+        let blob = Kind::Bvh.build(&tile, delta).unwrap();
         let whole = Ours::open(Kind::Bvh, &blob, &tile, delta).unwrap();
         let flights = Walks::record(&scene, 20_000, 1, |f| whole.land(f)).flights;
         let queues = by_rooms(&scene, &whole, &flights);
@@ -254,7 +261,7 @@ mod tests {
         for (room, queue) in scene.rooms.iter().zip(&queues) {
             let tile = Tile::room(&scene, room);
             assert!(tile.mesh().len() > 8_000);
-            let blob = Kind::Bvh.build(&tile, delta);
+            let blob = Kind::Bvh.build(&tile, delta).unwrap();
             let ours = Ours::open(Kind::Bvh, &blob, &tile, delta).unwrap();
             asked += queue.len();
             for (query, flight) in queue {
@@ -275,7 +282,7 @@ mod tests {
     fn drawn_rooms_are_tight() {
         let scene = Plan::named("room12k").unwrap().draw();
         let tile = Tile::whole(&scene);
-        let blob = Kind::Bvh.build(&tile, scene.delta());
+        let blob = Kind::Bvh.build(&tile, scene.delta()).unwrap();
         let ours = Ours::open(Kind::Bvh, &blob, &tile, scene.delta()).unwrap();
         let walks = Walks::record(&scene, 100_000, 1, |f| ours.land(f));
         assert_eq!(walks.escaped, 0);
