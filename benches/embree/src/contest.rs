@@ -5,7 +5,7 @@ use crate::args::Args;
 use crate::check::beam;
 use crate::embree::{self, Beam, Embree, Mesh, Quality};
 use crate::measure::{Contender, Group, spread};
-use crate::ours::{Hit, Ours, Query, Tile, query};
+use crate::ours::{Hit, Ours, Query, Tile, name_of, query};
 use crate::scene::Scene;
 use crate::walk::Flight;
 
@@ -104,7 +104,7 @@ impl Input<'_> {
         // What else the machine could do, for the first kind.
         let lesser = self.args.structures[0].lesser();
         for &instructions in &lesser {
-            let name = format!("ours, {instructions:?}");
+            let name = format!("ours, {}", name_of(instructions));
             let ask =
                 move || single(threads, &random.0, |q| self.ours[0].nearest_with(instructions, q));
             contenders.push(Contender::new(name, ask));
@@ -153,7 +153,7 @@ impl Input<'_> {
         }
         for &instructions in &lesser {
             contenders.push(Contender::new(
-                format!("ours, {instructions:?}, batches"),
+                format!("ours, {}, batches", name_of(instructions)),
                 move || {
                     in_batches(threads, &random.0, piece(random.0.len()), |q, answers| {
                         self.ours[0].nearest_batch_with(instructions, q, answers);

@@ -35,7 +35,7 @@ use crate::check::Agreement;
 use crate::contest::{Input, PACKETS_SORTED, RoomQueue, builds};
 use crate::embree::{Embree, EmbreeError, Mesh, Quality};
 use crate::measure::Group;
-use crate::ours::{Hit, Kind, Ours, Query, Tile, by_rooms, query};
+use crate::ours::{Hit, Kind, Ours, Query, Tile, available, by_rooms, name_of, query};
 use crate::report::{Table, Verdict};
 use crate::room::Plan;
 use crate::scene::{Scene, SceneError};
@@ -101,7 +101,12 @@ fn run(args: &Args) -> Result<(), Failure> {
         None => Ok(()),
     };
     write(&table)?;
-    say(&format!("Embree {} ({})", embree.version(), embree.path().display()));
+    let best = available().last().map_or("", |&best| name_of(best));
+    let place = embree.path().display();
+    say(&format!(
+        "Embree {} ({place}); ours with {best} where nothing else is said",
+        embree.version()
+    ));
     let mut verdicts = Vec::new();
     for plan in &plans {
         verdicts.extend(bench(args, &embree, &plan.draw(), &mut table)?);
@@ -305,9 +310,9 @@ fn same_among_ours(
         for instructions in kind.lesser() {
             let single: Vec<Option<Hit>> =
                 queries.iter().map(|query| ours.nearest_with(instructions, query)).collect();
-            compare(format!("{}, {instructions:?}", kind.name()), &single)?;
+            compare(format!("{}, {}", kind.name(), name_of(instructions)), &single)?;
             ours.nearest_batch_with(instructions, &queries, &mut batch);
-            compare(format!("{}, {instructions:?}, in batches", kind.name()), &batch)?;
+            compare(format!("{}, {}, in batches", kind.name(), name_of(instructions)), &batch)?;
         }
         // Of shadow rays, only whether.
         let queries: Vec<Query> = shadows.iter().map(query).collect();

@@ -31,7 +31,7 @@ impl Kind {
 
     /// The instructions that it can be asked by, besides the best.
     pub fn lesser(self) -> Vec<Instructions> {
-        let mut all: Vec<_> = Instructions::ALL.into_iter().filter(|i| i.available()).collect();
+        let mut all = available();
         all.pop();
         if self == Self::Bvh { all } else { Vec::new() }
     }
@@ -48,6 +48,20 @@ impl Kind {
         let mut blob = self.structure().build(&tile.mesh(), delta);
         self.structure().complete(&mut blob, &tile.mesh())?;
         Ok(blob)
+    }
+}
+
+/// The instructions of this machine, the best last.
+pub fn available() -> Vec<Instructions> {
+    Instructions::ALL.into_iter().filter(|instructions| instructions.available()).collect()
+}
+
+/// What to call them.
+pub fn name_of(instructions: Instructions) -> &'static str {
+    match instructions {
+        Instructions::Portable => "portable",
+        Instructions::Avx2 => "AVX2",
+        Instructions::Avx512 => "AVX-512",
     }
 }
 
