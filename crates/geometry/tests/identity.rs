@@ -78,7 +78,7 @@ impl Scene {
                 let truth = if force {
                     tile.by_force(&query)
                 } else {
-                    tile.bvh.nearest_with(Instructions::Portable, &query)
+                    tile.bvh.nearest_with(enf_geometry::Instructions::Portable, &query)
                 };
                 tile.check(&query, truth);
                 if let Some(hit) = truth {

@@ -28,7 +28,10 @@ fn no_ray_leaves_a_closed_surface() {
                 assert!(hit.is_some(), "{}", lost("batch"));
                 let (way, hit) = match i % 4 {
                     0 => ("grid", tile.grid.nearest(query)),
-                    1 => ("portable", tile.bvh.nearest_with(Instructions::Portable, query)),
+                    1 => (
+                        "portable",
+                        tile.bvh.nearest_with(enf_geometry::Instructions::Portable, query),
+                    ),
                     _ => ("hierarchy", tile.bvh.nearest(query)),
                 };
                 assert!(hit.is_some(), "{}", lost(way));

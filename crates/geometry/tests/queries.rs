@@ -54,7 +54,7 @@ fn the_interval_is_half_open() {
             assert_eq!(hit.map(|h| h.t), expected, "[{t_min}, {t_max})");
             assert_eq!(hit.map(|h| h.global), expected.map(|t| pane(t as usize - 1)));
             assert_eq!(tile.grid.nearest(&query), hit);
-            assert_eq!(tile.bvh.nearest_with(Instructions::Portable, &query), hit);
+            assert_eq!(tile.bvh.nearest_with(enf_geometry::Instructions::Portable, &query), hit);
             assert_eq!(tile.batch(&[query]), [hit]);
         }
     }

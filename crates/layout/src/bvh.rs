@@ -6,7 +6,12 @@
 //! | [`SECTION_HEADER`] | [`BvhHeader`] | one |
 //! | [`SECTION_NODES`] | [`BvhNode`] | node 0 is the root; a node's inner children follow each other, after it |
 //! | [`SECTION_BLOCKS`] | [`LeafBlock`] | one for each leaf |
-//! | [`SECTION_REFERENCES`] | `u32` | four for each block: triangles of the tile (indices into its mesh), each once; [`NO_TRIANGLE`] where a block has fewer |
+//! | [`SECTION_REFERENCES`] | `u32` | four for each block: triangles of the tile (indices into its mesh), each once; where a block has fewer, [`NO_TRIANGLE`], and in a store the reference before |
+//!
+//! What a mesh can tell is not stored: of nodes only [`BvhNode::child`], of blocks nothing; the rest is zero. Whoever loads a
+//! hierarchy walks through it once, and finds corners, boxes and indices again. For this, node 0 is visited first; the
+//! inner children of the node that is visited are the next nodes, its leaves the next blocks, in the order of their slots; then its
+//! inner children are visited in this order, each with all that is below it.
 //!
 //! Boxes are quantised to eight bits in the frame of their node, outwards (Ylitie, Karras and Laine 2017,
 //! *Efficient incoherent ray traversal on GPUs through compressed wide BVHs*): ten bytes a child.
@@ -55,7 +60,7 @@ pub struct BvhHeader {
 }
 const _: () = assert!(size_of::<BvhHeader>() == 32);
 
-/// A node and the boxes of its children.
+/// A node and the boxes of its children. In a store, everything but [`BvhNode::child`] is zero.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct BvhNode {
@@ -67,7 +72,7 @@ pub struct BvhNode {
     pub nodes: u32,
     /// The first block of the leaves among the children.
     pub blocks: u32,
-    /// What each child is: [`CHILD_INNER`], [`CHILD_NONE`], or a leaf.
+    /// What each child is: [`CHILD_INNER`], [`CHILD_NONE`], or a leaf. In a store, without the low three bits.
     pub child: [u8; WIDTH],
     /// Along each axis, the lower ends of the children's boxes (rounded down), then their upper ends (rounded up); each box
     /// was grown by four tolerances. A child that is nothing has lower above upper.

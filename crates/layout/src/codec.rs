@@ -4,7 +4,7 @@
 use crate::sections::{self, Malformed, SectionRecord, Transform};
 
 fn transform_of(record: &SectionRecord) -> Result<Transform, Malformed> {
-    [Transform::None, Transform::Delta, Transform::Xor]
+    [Transform::None, Transform::Delta, Transform::Xor, Transform::Planes]
         .into_iter()
         .find(|&t| t as u32 == record.transform)
         .ok_or_else(|| Malformed(format!("unknown section transform {}", record.transform)))
@@ -12,6 +12,32 @@ fn transform_of(record: &SectionRecord) -> Result<Transform, Malformed> {
 
 fn word(bytes: &[u8], i: usize) -> u32 {
     u32::from_le_bytes([bytes[4 * i], bytes[4 * i + 1], bytes[4 * i + 2], bytes[4 * i + 3]])
+}
+
+/// How a section is transformed.
+enum Way {
+    /// Not at all.
+    Leave,
+    /// Words, by their difference from the one so many before.
+    Words { delta: bool, stride: usize },
+    /// Records of so many bytes.
+    Records { bytes: usize },
+}
+
+fn way_of(record: &SectionRecord) -> Result<Way, Malformed> {
+    let transform = transform_of(record)?;
+    let stride = record.stride as usize;
+    if transform == Transform::None {
+        return Ok(Way::Leave);
+    }
+    if stride == 0 {
+        return Err(Malformed("a transformed section has stride 0".into()));
+    }
+    let (unit, way) = match transform {
+        Transform::Planes => (4 * stride, Way::Records { bytes: 4 * stride }),
+        _ => (4, Way::Words { delta: transform == Transform::Delta, stride }),
+    };
+    Ok(if record.bytes.is_multiple_of(unit as u64) { way } else { Way::Leave })
 }
 
 /// Transforms a blob into `out` (same length). The table stays as it is.
@@ -23,23 +49,31 @@ pub fn forward(blob: &[u8], out: &mut [u8]) -> Result<(), Malformed> {
     for record in sections::table(blob)? {
         let range = record.offset as usize..(record.offset + record.bytes) as usize;
         let (src, dst) = (&blob[range.clone()], &mut out[range]);
-        let (n, stride) = (src.len() / 4, record.stride as usize);
-        let mode = transform_of(&record)?;
-        if mode == Transform::None || !src.len().is_multiple_of(4) {
-            continue;
-        }
-        for i in 0..n {
-            let value = word(src, i);
-            let before = if i >= stride { word(src, i - stride) } else { 0 };
-            let residue = match mode {
-                Transform::Delta => {
-                    let d = value.wrapping_sub(before) as i32;
-                    ((d << 1) ^ (d >> 31)) as u32
+        match way_of(&record)? {
+            Way::Leave => {}
+            Way::Words { delta, stride } => {
+                let n = src.len() / 4;
+                for i in 0..n {
+                    let value = word(src, i);
+                    let before = if i >= stride { word(src, i - stride) } else { 0 };
+                    let residue = if delta {
+                        let d = value.wrapping_sub(before) as i32;
+                        ((d << 1) ^ (d >> 31)) as u32
+                    } else {
+                        value ^ before
+                    };
+                    for (plane, byte) in residue.to_le_bytes().into_iter().enumerate() {
+                        dst[plane * n + i] = byte;
+                    }
                 }
-                _ => value ^ before,
-            };
-            for (plane, byte) in residue.to_le_bytes().into_iter().enumerate() {
-                dst[plane * n + i] = byte;
+            }
+            Way::Records { bytes } => {
+                let n = src.len() / bytes;
+                for (i, record) in src.chunks_exact(bytes).enumerate() {
+                    for (plane, &byte) in record.iter().enumerate() {
+                        dst[plane * n + i] = byte;
+                    }
+                }
             }
         }
     }
@@ -51,34 +85,82 @@ pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
     for record in sections::table(blob)? {
         let range = record.offset as usize..(record.offset + record.bytes) as usize;
         let section = &mut blob[range];
-        let (n, stride) = (section.len() / 4, record.stride as usize);
-        let mode = transform_of(&record)?;
-        if mode == Transform::None || !section.len().is_multiple_of(4) {
+        let way = way_of(&record)?;
+        if matches!(way, Way::Leave) {
             continue;
-        }
-        if stride == 0 {
-            return Err(Malformed("a transformed section has stride 0".into()));
         }
         let planes = scratch
             .get_mut(..section.len())
             .ok_or_else(|| Malformed("transform scratch is too small".into()))?;
         planes.copy_from_slice(section);
-        let (p0, rest) = planes.split_at(n);
-        let (p1, rest) = rest.split_at(n);
-        let (p2, p3) = rest.split_at(n);
-        for i in 0..n {
-            let residue = u32::from_le_bytes([p0[i], p1[i], p2[i], p3[i]]);
-            let before = if i >= stride { word(section, i - stride) } else { 0 };
-            let value = match mode {
-                Transform::Delta => {
-                    before.wrapping_add((residue >> 1) ^ (residue & 1).wrapping_neg())
+        match way {
+            Way::Leave => {}
+            Way::Words { delta: true, stride: 1 } => from_words::<1>(planes, section, undo_delta),
+            Way::Words { delta: true, stride: 3 } => from_words::<3>(planes, section, undo_delta),
+            Way::Words { delta: false, stride: 3 } => from_words::<3>(planes, section, undo_xor),
+            Way::Words { delta: false, stride: 6 } => from_words::<6>(planes, section, undo_xor),
+            Way::Words { delta, stride } => {
+                let undo = if delta { undo_delta } else { undo_xor };
+                let n = section.len() / 4;
+                for i in 0..n {
+                    let residue = [0, 1, 2, 3].map(|plane| planes[plane * n + i]);
+                    let before = if i >= stride { word(section, i - stride) } else { 0 };
+                    let value = undo(before, u32::from_le_bytes(residue));
+                    section[4 * i..4 * i + 4].copy_from_slice(&value.to_le_bytes());
                 }
-                _ => before ^ residue,
-            };
-            section[4 * i..4 * i + 4].copy_from_slice(&value.to_le_bytes());
+            }
+            Way::Records { bytes } => {
+                let n = section.len() / bytes;
+                section.fill(0);
+                // Many planes hold nothing.
+                for (plane, values) in planes.chunks_exact(n.max(1)).enumerate() {
+                    if values.iter().fold(0, |any, &b| any | b) == 0 {
+                        continue;
+                    }
+                    for (record, &value) in section.chunks_exact_mut(bytes).zip(values) {
+                        record[plane] = value;
+                    }
+                }
+            }
         }
     }
     Ok(())
+}
+
+#[inline(always)]
+fn undo_delta(before: u32, residue: u32) -> u32 {
+    before.wrapping_add((residue >> 1) ^ (residue & 1).wrapping_neg())
+}
+
+#[inline(always)]
+fn undo_xor(before: u32, residue: u32) -> u32 {
+    before ^ residue
+}
+
+/// Words from their planes, each from the one `STRIDE` before.
+#[inline(always)]
+fn from_words<const STRIDE: usize>(
+    planes: &[u8],
+    section: &mut [u8],
+    undo: impl Fn(u32, u32) -> u32,
+) {
+    let n = section.len() / 4;
+    let (low, high) = planes.split_at(2 * n);
+    let (p0, p1) = low.split_at(n);
+    let (p2, p3) = high.split_at(n);
+    let mut before = [0; STRIDE];
+    let words = section.as_chunks_mut::<4>().0.chunks_mut(STRIDE);
+    let residues =
+        p0.chunks(STRIDE).zip(p1.chunks(STRIDE)).zip(p2.chunks(STRIDE).zip(p3.chunks(STRIDE)));
+    for (words, ((a, b), (c, d))) in words.zip(residues) {
+        let residues = a.iter().zip(b).zip(c.iter().zip(d));
+        for ((word, before), ((&a, &b), (&c, &d))) in
+            words.iter_mut().zip(&mut before).zip(residues)
+        {
+            *before = undo(*before, u32::from_le_bytes([a, b, c, d]));
+            *word = before.to_le_bytes();
+        }
+    }
 }
 
 /// Bytes of scratch that [`inverse`] needs for this blob.
@@ -98,12 +180,17 @@ mod tests {
             b in proptest::collection::vec(any::<f32>(), 0..100),
             c in proptest::collection::vec(any::<u8>(), 0..50),
             stride in 1u32..4,
+            wide in 3u32..8,
         ) {
             use zerocopy::IntoBytes;
             let blob = sections::build(&[
                 (a.as_bytes(), Transform::Delta, stride),
                 (b.as_bytes(), Transform::Xor, stride),
                 (&c, Transform::None, 0),
+                (&c, Transform::Planes, stride),
+                (a.as_bytes(), Transform::Planes, stride),
+                (b.as_bytes(), Transform::Xor, wide),
+                (b.as_bytes(), Transform::Delta, wide),
             ]);
             let mut t = vec![0; blob.len()];
             forward(&blob, &mut t).unwrap();

@@ -25,6 +25,8 @@ pub enum Transform {
     Delta = 1,
     /// `u32` words (floats): exclusive or with the word `stride` words before, byte planes.
     Xor = 2,
+    /// Records of `stride` words: the first bytes of all records, then the second ones, and so on.
+    Planes = 3,
 }
 
 /// Place of one section.
@@ -37,7 +39,7 @@ pub struct SectionRecord {
     pub bytes: u64,
     /// [`Transform`].
     pub transform: u32,
-    /// Words between a word and its predictor.
+    /// Words between a word and its predictor, or words of a record.
     pub stride: u32,
 }
 const _: () = assert!(size_of::<SectionRecord>() == 24);
@@ -143,31 +145,22 @@ pub fn section<T: FromBytes + Immutable + KnownLayout>(
     })
 }
 
-/// Two sections, the first of which can be changed; they lie in this order.
-pub fn section_mut_and<'a, T, U>(
-    blob: &'a mut [u8],
-    first: usize,
-    second: usize,
-) -> Result<(&'a mut [T], &'a [U]), Malformed>
-where
-    T: FromBytes + IntoBytes + KnownLayout,
-    U: FromBytes + Immutable + KnownLayout,
-{
+/// All sections of a blob that has `N`, which lie one after the other, to be changed.
+pub fn split_mut<const N: usize>(blob: &mut [u8]) -> Result<[&mut [u8]; N], Malformed> {
     let table = table(blob)?;
-    let (Some(a), Some(b)) = (table.get(first), table.get(second)) else {
-        return Err(Malformed(format!(
-            "section {first} or {second} of {} is missing",
-            table.len()
-        )));
-    };
-    if b.offset < a.offset + a.bytes {
-        return Err(Malformed(format!("section {second} lies before section {first}")));
+    if table.len() != N {
+        return Err(Malformed(format!("blob has {} sections, not {N}", table.len())));
     }
-    let (front, back) = blob.split_at_mut(b.offset as usize);
-    let front = &mut front[a.offset as usize..][..a.bytes as usize];
-    let uneven = |i: usize| Malformed(format!("section {i} holds no whole number of records"));
-    Ok((
-        <[T]>::mut_from_bytes(front).map_err(|_| uneven(first))?,
-        <[U]>::ref_from_bytes(&back[..b.bytes as usize]).map_err(|_| uneven(second))?,
-    ))
+    let mut parts: [&mut [u8]; N] = std::array::from_fn(|_| Default::default());
+    let (mut rest, mut at) = (blob, 0);
+    for (i, (part, record)) in parts.iter_mut().zip(&table).enumerate() {
+        if record.offset < at {
+            return Err(Malformed(format!("section {i} begins within the one before")));
+        }
+        let (before, after) = rest.split_at_mut((record.offset - at) as usize);
+        let _ = before;
+        let (mine, after) = after.split_at_mut(record.bytes as usize);
+        (*part, rest, at) = (mine, after, record.offset + record.bytes);
+    }
+    Ok(parts)
 }

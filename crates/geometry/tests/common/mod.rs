@@ -84,7 +84,10 @@ impl Tile<'_> {
         vec![
             ("grid", self.grid.nearest(query)),
             ("hierarchy", self.bvh.nearest(query)),
-            ("hierarchy, portable", self.bvh.nearest_with(enf_geometry::Instructions::Portable, query)),
+            (
+                "hierarchy, portable",
+                self.bvh.nearest_with(enf_geometry::Instructions::Portable, query),
+            ),
             ("hierarchy, by its kind", structure.nearest(query)),
         ]
     }

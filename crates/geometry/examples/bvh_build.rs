@@ -1,0 +1,199 @@
+//! What a hierarchy costs: `bvh_build RAYS SCENE...`, where `SCENE.vtx` holds vertices (three `f32` each) and
+//! `SCENE.idx` triangles (three `u32` each).
+//!
+//! For every scene: triangles built a second, bytes a triangle in memory and on disk, resident bytes made a second from what
+//! was on disk, and rays a second (the walks of photons, one after the other and in batches of ten thousand).
+
+use std::time::Instant;
+
+use enf_geometry::{
+    BvhView, NONE, Query, Ray, TileMesh, build_bvh, bvh_bytes_estimate, complete_bvh,
+};
+use enf_layout::codec;
+use glam::Vec3;
+
+struct Random(u64);
+
+impl Random {
+    fn unit(&mut self) -> f32 {
+        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
+        let mut z = self.0;
+        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 24) as f32
+    }
+
+    fn in_box(&mut self, size: Vec3) -> Vec3 {
+        Vec3::new(self.unit(), self.unit(), self.unit()) * size
+    }
+
+    fn direction(&mut self) -> Vec3 {
+        loop {
+            let p = 2.0 * self.in_box(Vec3::ONE) - Vec3::ONE;
+            let square = p.length_squared();
+            if square > 1e-4 && square <= 1.0 {
+                return p / square.sqrt();
+            }
+        }
+    }
+}
+
+/// The triangles of a scene.
+fn read(scene: &str) -> std::io::Result<Vec<[[f32; 3]; 3]>> {
+    let words = |file: &str| -> std::io::Result<Vec<[u8; 4]>> {
+        let bytes = std::fs::read(format!("{scene}.{file}"))?;
+        Ok(bytes.as_chunks::<4>().0.to_vec())
+    };
+    let vertices: Vec<f32> = words("vtx")?.into_iter().map(f32::from_le_bytes).collect();
+    let indices: Vec<u32> = words("idx")?.into_iter().map(u32::from_le_bytes).collect();
+    let vertices = vertices.as_chunks::<3>().0;
+    Ok(indices.as_chunks::<3>().0.iter().map(|t| t.map(|i| vertices[i as usize])).collect())
+}
+
+/// The median of some times, and the least, s.
+fn median(rounds: usize, mut what: impl FnMut()) -> (f64, f64) {
+    let mut times: Vec<f64> = (0..rounds)
+        .map(|_| {
+            let start = Instant::now();
+            what();
+            start.elapsed().as_secs_f64()
+        })
+        .collect();
+    times.sort_by(f64::total_cmp);
+    (times[rounds / 2], times[0])
+}
+
+/// Walks of photons through a room: each query begins where the one before ended.
+fn walks(mesh: &TileMesh, bvh: &BvhView, rays: usize) -> Vec<Query> {
+    let mut random = Random(7);
+    let bounds = mesh.bounds();
+    let middle = bounds.center();
+    let (mut origin, mut exclude) = (middle, NONE);
+    let mut queries = Vec::with_capacity(rays);
+    for i in 0..rays {
+        let mut direction = random.direction();
+        if exclude != NONE {
+            let normal = mesh.geometric_normal(exclude);
+            if normal.dot(direction) * normal.dot(origin - middle) > 0.0 {
+                direction = -direction;
+            }
+        }
+        let ray = Ray { origin, direction };
+        let query = Query { ray, t_min: 0.0, t_max: f32::INFINITY, exclude };
+        queries.push(query);
+        match bvh.nearest(&query) {
+            Some(hit) if i % 17 != 0 => {
+                origin = ray.at(hit.t);
+                exclude = hit.global;
+            }
+            _ => {
+                origin = bounds.min + random.in_box(bounds.max - bounds.min);
+                exclude = NONE;
+            }
+        }
+    }
+    queries
+}
+
+fn measure(scene: &str, rays: usize) -> Result<(), Box<dyn std::error::Error>> {
+    let soup = read(scene)?;
+    let triangles = soup.len() as f64;
+    let mesh_blob = TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
+    let mesh = TileMesh::from_blob(&mesh_blob)?;
+    let delta = 32.0 / (1 << 19) as f32;
+    let rounds = (2_000_000 / soup.len().max(1)).clamp(3, 21);
+
+    let mut blob = Vec::new();
+    let (building, quickest) = median(rounds, || blob = build_bvh(&mesh, delta));
+    let mut coded = vec![0; blob.len()];
+    codec::forward(&blob, &mut coded)?;
+    let disk = zstd::bulk::compress(&coded, 3)?;
+    let sections: Vec<String> = enf_layout::sections::table(&blob)?
+        .iter()
+        .map(|r| {
+            let bytes = &coded[r.offset as usize..(r.offset + r.bytes) as usize];
+            let packed = zstd::bulk::compress(bytes, 3).map_or(0, |p| p.len());
+            format!("{:.2}", packed as f64 / triangles)
+        })
+        .collect();
+    let mesh_disk = {
+        let mut coded = vec![0; mesh_blob.len()];
+        codec::forward(&mesh_blob, &mut coded)?;
+        zstd::bulk::compress(&coded, 3)?.len()
+    };
+    // From compressed bytes to what rays walk through.
+    let mut scratch = vec![0; codec::scratch_bytes(&coded)?];
+    let mut inflater = zstd::bulk::Decompressor::new()?;
+    let mut steps = [const { Vec::new() }; 3];
+    for _ in 0..rounds {
+        let start = Instant::now();
+        inflater.decompress_to_buffer(&disk, &mut blob[..])?;
+        steps[0].push(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        codec::inverse(&mut blob, &mut scratch)?;
+        steps[1].push(start.elapsed().as_secs_f64());
+        let start = Instant::now();
+        complete_bvh(&mut blob, &mesh)?;
+        steps[2].push(start.elapsed().as_secs_f64());
+    }
+    let [inflate, inverse, complete] = steps.map(|mut s| {
+        s.sort_by(f64::total_cmp);
+        s[s.len() / 2]
+    });
+    let bvh = BvhView::from_blob(&blob, &mesh, delta)?;
+    let size = blob.len() as f64;
+    println!("{scene}: {triangles} triangles");
+    println!(
+        "  built: {:.2} M triangles/s ({:.2} at best), {:.0}% of the bytes promised, {:.2} triangles a block, {:.2} blocks a node",
+        triangles / building / 1e6,
+        triangles / quickest / 1e6,
+        100.0 * size / bvh_bytes_estimate(soup.len() as u64) as f64,
+        triangles / bvh.block_count() as f64,
+        bvh.block_count() as f64 / bvh.node_count() as f64,
+    );
+    println!(
+        "  bytes a triangle: {:.1} in memory, {:.2} on disk (sections {}); mesh on disk {:.2}",
+        size / triangles,
+        disk.len() as f64 / triangles,
+        sections.join(" + "),
+        mesh_disk as f64 / triangles,
+    );
+    println!(
+        "  ready: {:.2} GB/s of resident bytes (inflating {:.1}, transform {:.1}, completing {:.2} GB/s)",
+        size / (inflate + inverse + complete) / 1e9,
+        size / inflate / 1e9,
+        size / inverse / 1e9,
+        size / complete / 1e9,
+    );
+    if rays > 0 {
+        let queries = walks(&mesh, &bvh, rays);
+        let mut answers = vec![None; rays];
+        let mut length = 0.0;
+        let (single, _) = median(5, || {
+            length = 0.0;
+            for query in &queries {
+                length += bvh.nearest(query).map_or(0.0, |hit| f64::from(hit.t));
+            }
+        });
+        let (batch, _) = median(5, || {
+            for (q, a) in queries.chunks(10_000).zip(answers.chunks_mut(10_000)) {
+                bvh.nearest_batch(q, a);
+            }
+        });
+        println!(
+            "  rays: {:.2} M/s single, {:.2} M/s in batches (lengths add up to {length})",
+            rays as f64 / single / 1e6,
+            rays as f64 / batch / 1e6,
+        );
+    }
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut arguments = std::env::args().skip(1);
+    let rays = arguments.next().and_then(|a| a.parse().ok()).unwrap_or(0);
+    for scene in arguments {
+        measure(&scene, rays)?;
+    }
+    Ok(())
+}
