@@ -4,8 +4,8 @@
 //! cargo run --release -p enf-geometry --example leaks -- 1e9 [seed]
 //! ```
 //!
-//! All cores, all surfaces of the leak test in turn. Most rays go through the hierarchy in batches, some one by one,
-//! without vector instructions, or through the grid. Which rays they are depends on the seed and on how many batches there are,
+//! All cores, all surfaces of the leak test in turn. Most rays go through the hierarchy in batches; some one by one, as
+//! shadow rays, or through the grid; one batch in 64 in all ways, with all sets of instructions. Which rays they are depends on the seed and on how many batches there are,
 //! not on threads. A ray that gets out is printed in bits, and the exit code is 1; bad arguments give 2.
 
 #[path = "../tests/common/mod.rs"]
@@ -101,17 +101,30 @@ fn main() -> ExitCode {
     ExitCode::from(u8::from(!misses.is_empty()))
 }
 
-/// The rays that hit nothing, asked in one way or another, or in all.
+/// The rays that hit nothing, asked in one way or another; one batch in 64 in all.
 fn lost(tile: &Tile<'_>, queries: &[Query], round: u64) -> Vec<(&'static str, Query)> {
-    match round % 16 {
-        15 => queries
+    match round % 64 {
+        0 => queries
             .iter()
-            .flat_map(|query| tile.ways(query).into_iter().map(|(way, hit)| (way, *query, hit)))
-            .filter_map(|(way, query, hit)| hit.is_none().then_some((way, query)))
+            .flat_map(|query| {
+                let hits = tile.ways(query).into_iter().map(|(way, hit)| (way, hit.is_some()));
+                let ways = hits.chain(tile.shadows(query));
+                ways.filter(|&(_, hit)| !hit).map(|(way, _)| (way, *query))
+            })
             .collect(),
-        7 => {
+        16 => {
             let missed = |query: &&Query| tile.grid.nearest(query).is_none();
             queries.iter().filter(missed).map(|query| ("grid", *query)).collect()
+        }
+        32 => {
+            let missed = |query: &&Query| tile.bvh.nearest(query).is_none();
+            queries.iter().filter(missed).map(|query| ("hierarchy", *query)).collect()
+        }
+        48 => {
+            let mut hit = vec![false; queries.len()];
+            tile.bvh.occluded_batch(queries, &mut hit);
+            let missed = queries.iter().zip(hit).filter(|(_, hit)| !hit);
+            missed.map(|(query, _)| ("batch of shadow rays", *query)).collect()
         }
         _ => {
             let answers = tile.batch(queries);

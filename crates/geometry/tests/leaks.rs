@@ -4,6 +4,7 @@ mod common;
 
 use common::closed::{AIMS, surfaces};
 use common::{Blobs, Random, anything, spelt};
+use enf_geometry::Instructions;
 
 #[test]
 fn the_surfaces_are_closed() {

@@ -2,14 +2,20 @@
 
 mod common;
 
-use common::{Blobs, Corners, KINDS, Random, anything, blob, delta};
+use common::{Blobs, Corners, KINDS, Random, anything, bits, blob, delta, spelt};
 use enf_geometry::{
-    NONE, Query, Ray, Structure, StructureKind, TileMesh, bvh_bytes_estimate, grid_bytes_estimate,
-    structure_bytes_estimate,
+    BvhView, NONE, Query, Ray, Structure, StructureKind, TileMesh, bvh_bytes_estimate,
+    grid_bytes_estimate, nearest_by_force, structure_bytes_estimate,
+};
+use enf_layout::bvh::{
+    BvhHeader, BvhNode, CHILD_INNER, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_NODES,
+    SECTIONS, WIDTH,
 };
 use enf_layout::codec;
+use enf_layout::sections::{self, Transform};
 use glam::Vec3;
 use proptest::prelude::*;
+use zerocopy::IntoBytes;
 
 fn compare(
     triangles: &[Corners],
@@ -202,12 +208,10 @@ fn a_corrupt_structure_is_rejected_or_harmless() {
         let Ok(structure) = Structure::from_blob(kind, blob, mesh, tolerance) else { return false };
         for query in &queries {
             structure.nearest(query);
-            if let Structure::Bvh(bvh) = structure {
-                bvh.nearest_with(enf_geometry::Instructions::Portable, query);
-            }
+            structure.occluded(query);
         }
         if let Structure::Bvh(bvh) = structure {
-            bvh.nearest_batch(&queries, &mut vec![None; queries.len()]);
+            common::exercise(&bvh, &queries);
         }
         true
     };
@@ -282,10 +286,150 @@ fn a_hierarchy_of_a_mesh_that_has_changed_is_refused() {
         let mesh = TileMesh::from_blob(&mesh).unwrap();
         let opened = Structure::from_blob(StructureKind::Bvh, good, mesh, blobs.delta);
         assert!(opened.is_err(), "triangle {i}");
-        // Completed from what it is asked about, it is a hierarchy of that mesh, though its boxes may be wrong.
+        // Completed from what it is asked about, it is a hierarchy of that mesh.
         let mut again = good.clone();
         StructureKind::Bvh.complete(&mut again, &mesh).unwrap();
-        assert!(Structure::from_blob(StructureKind::Bvh, &again, mesh, blobs.delta).is_ok());
+        let bvh = BvhView::from_blob(&again, &mesh, blobs.delta).unwrap();
+        for _ in 0..50 {
+            let query = anything(common::ray(&mut random, &moved, 4.0));
+            let truth = nearest_by_force(&mesh, blobs.delta, &query);
+            assert_eq!(bits(bvh.nearest(&query)), bits(truth), "{}", spelt(&query));
+        }
+    }
+}
+
+/// Puts nodes into a hierarchy as they are, whatever they say.
+fn put_nodes(blob: &mut [u8], nodes: &[BvhNode]) {
+    let [_, place, ..] = sections::split_mut::<SECTIONS>(blob).unwrap();
+    place.copy_from_slice(nodes.as_bytes());
+}
+
+/// Nodes with any frame, any bounds: boxes that are nowhere, or everywhere, or numbers that overflow on the way. Whatever
+/// is accepted is walked without leaving it.
+#[test]
+fn a_hierarchy_with_mad_boxes_is_harmless() {
+    let mut random = Random(24);
+    let triangles = common::zoo(&mut random, 60, 4.0);
+    let blobs = Blobs::new(&triangles, delta(4.0));
+    let mesh = TileMesh::from_blob(&blobs.mesh).unwrap();
+    let good = &blobs.structures[1];
+    let nodes: &[BvhNode] = sections::section(good, SECTION_NODES).unwrap();
+    let exponents = [-126, -125, -60, -20, -14, -9, -5, -2, 0, 2, 4, 20, 90, 120, 126, 127];
+    let origins = [0.0, -0.0, 1e-45, -1e-38, 1.0, -4.0, 31.0, -64.0, 1e15, -1e30, 3e38, f32::MIN];
+    let (mut accepted, mut refused) = (0, 0);
+    for round in 0..4000 {
+        let mut nodes = nodes.to_vec();
+        for _ in 0..1 + random.below(8) {
+            let at = random.below(nodes.len());
+            let node = &mut nodes[at];
+            let axis = random.below(3);
+            match random.below(4) {
+                0 => node.origin[axis] = origins[random.below(origins.len())],
+                1 => node.step[axis] = 2f32.powi(exponents[random.below(exponents.len())]),
+                _ => {
+                    let slot = random.below(WIDTH);
+                    if node.used >> slot & 1 != 0 || round % 16 == 0 {
+                        node.bounds[axis][slot] = random.below(256) as u8;
+                        node.bounds[axis][slot + WIDTH] = random.below(256) as u8;
+                    }
+                }
+            }
+        }
+        let mut bad = good.clone();
+        put_nodes(&mut bad, &nodes);
+        let Ok(bvh) = BvhView::from_blob(&bad, &mesh, blobs.delta) else {
+            refused += 1;
+            continue;
+        };
+        accepted += 1;
+        let queries: Vec<Query> = (0..24)
+            .map(|_| {
+                let mut ray = common::ray(&mut random, &triangles, 4.0);
+                if random.below(3) == 0 {
+                    ray.direction[random.below(3)] *= [0.0, -0.0, 1e-30, -1e-45][random.below(4)];
+                }
+                let t_max = [f32::INFINITY, f32::MAX, 3.0][random.below(3)];
+                Query { t_max, ..anything(ray) }
+            })
+            .collect();
+        common::exercise(&bvh, &queries);
+    }
+    assert!(accepted > 1000 && refused > 1000, "{accepted} accepted, {refused} refused");
+}
+
+/// As deep as hierarchies may be; with boxes that fit, and with boxes that every ray enters, so that each node leaves
+/// seven for later: no stack overflows, and nothing is forgotten.
+#[test]
+fn a_hierarchy_as_deep_as_may_be() {
+    let mut random = Random(25);
+    let count = (WIDTH - 1) * DEPTH + 1;
+    let triangles: Vec<Corners> = (0..count)
+        .map(|_| {
+            let a = 2.0 * random.cube();
+            [a, a + random.cube(), a + random.cube()]
+        })
+        .collect();
+    let mesh_blob = blob(&triangles);
+    let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
+    let tolerance = delta(4.0);
+    let header =
+        BvhHeader { min: [-3.5; 3], max: [3.5; 3], delta: tolerance, triangles: mesh.len() };
+    let references: Vec<[u32; LEAF_TRIANGLES]> =
+        (0..count as u32).map(|i| [i, NO_TRIANGLE, NO_TRIANGLE, NO_TRIANGLE]).collect();
+    let rays: Vec<Ray> = (0..300)
+        .map(|_| {
+            let origin = 3.0 * random.cube();
+            let target = triangles[random.below(count)][random.below(3)];
+            Ray { origin, direction: (target - origin).normalize() }
+        })
+        .collect();
+    // The inner child comes first for rays of one octant, last for those of the opposite one.
+    for (slot, wide) in (0..WIDTH).flat_map(|slot| [(slot, false), (slot, true)]) {
+        let nodes: Vec<BvhNode> = (0..DEPTH)
+            .map(|depth| {
+                let mut node = BvhNode {
+                    origin: [-4.0; 3],
+                    step: [0.03125; 3],
+                    nodes: depth as u32 + 1,
+                    blocks: (depth * (WIDTH - 1)) as u32,
+                    child: std::array::from_fn(|i| (i - usize::from(i > slot)) as u8),
+                    bounds: [[0, 0, 0, 0, 0, 0, 0, 0, 255, 255, 255, 255, 255, 255, 255, 255]; 3],
+                    used: 255,
+                    reserved: 0,
+                };
+                // The last node has a leaf there.
+                node.child[slot] = if depth + 1 < DEPTH { CHILD_INNER } else { WIDTH as u8 - 1 };
+                node
+            })
+            .collect();
+        let mut blob = sections::build(&[
+            (header.as_bytes(), Transform::None, 1),
+            (nodes.as_bytes(), Transform::None, 1),
+            (&vec![0; references.len() * size_of::<LeafBlock>()], Transform::None, 1),
+            (references.as_bytes(), Transform::None, 1),
+        ]);
+        StructureKind::Bvh.complete(&mut blob, &mesh).unwrap();
+        if wide {
+            put_nodes(&mut blob, &nodes);
+        }
+        let bvh = BvhView::from_blob(&blob, &mesh, tolerance).unwrap();
+        let queries: Vec<Query> = rays.iter().map(|&ray| anything(ray)).collect();
+        let truths: Vec<_> =
+            queries.iter().map(|query| nearest_by_force(&mesh, tolerance, query)).collect();
+        for (name, level) in common::levels() {
+            let mut batch = vec![None; queries.len()];
+            bvh.nearest_batch_with(level, &queries, &mut batch);
+            let mut shadows = vec![false; queries.len()];
+            bvh.occluded_batch_with(level, &queries, &mut shadows);
+            for (i, query) in queries.iter().enumerate() {
+                let truth = truths[i];
+                let say = || format!("{name}, child {slot}: {}", spelt(query));
+                assert_eq!(bits(bvh.nearest_with(level, query)), bits(truth), "{}", say());
+                assert_eq!(bits(batch[i]), bits(truth), "batch, {}", say());
+                assert_eq!(bvh.occluded_with(level, query), truth.is_some(), "{}", say());
+                assert_eq!(shadows[i], truth.is_some(), "batch, {}", say());
+            }
+        }
     }
 }
 

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 use enf_layout::bsp::{
     FACE_IN_FRONT, FaceRecord, LEAF, LEAF_OUTSIDE, LEAF_SOLID, LeafRecord, NodeRecord, PlaneRecord,
 };
-use enf_layout::bvh::{BvhHeader, BvhNode};
+use enf_layout::bvh::{BvhHeader, BvhNode, LeafBlock};
 use enf_layout::film::PixelRecord;
 use enf_layout::grid::{BrickRecord, GridHeader};
 use enf_layout::journal::{
@@ -232,19 +232,26 @@ fn records() -> Vec<Golden> {
         BvhHeader { min: [-1.0, -2.0, -3.0], max: [1.0, 2.0, 3.0], delta: 1.0 / 8192.0, triangles: 9 }
         BvhNode {
             origin: [-1.0, -2.0, -3.0],
-            exponent: [120, 121, 122],
-            used: 0b111,
+            step: [0.0078125, 0.015625, 0.03125],
             nodes: 1,
-            references: 5,
+            blocks: 5,
             child: [0x80, 0x81, 0x60, 0xff, 0xff, 0xff, 0xff, 0xff],
             bounds: [
-                [0, 10, 20, 255, 255, 255, 255, 255],
-                [1, 11, 21, 255, 255, 255, 255, 255],
-                [2, 12, 22, 255, 255, 255, 255, 255],
-                [100, 110, 120, 0, 0, 0, 0, 0],
-                [101, 111, 121, 0, 0, 0, 0, 0],
-                [102, 112, 122, 0, 0, 0, 0, 0],
+                [0, 10, 20, 255, 255, 255, 255, 255, 100, 110, 120, 0, 0, 0, 0, 0],
+                [1, 11, 21, 255, 255, 255, 255, 255, 101, 111, 121, 0, 0, 0, 0, 0],
+                [2, 12, 22, 255, 255, 255, 255, 255, 102, 112, 122, 0, 0, 0, 0, 0],
             ],
+            used: 0b111,
+            reserved: 0,
+        }
+        LeafBlock {
+            corners: [
+                [[0.0, 1.0, 2.0, 3.0]; 3],
+                [[4.0, 5.0, 6.0, 7.0]; 3],
+                [[8.0, 9.0, 10.0, 11.0]; 3],
+            ],
+            global: [7, 8, 9, 10],
+            material: [0, 1, 0, 2],
         }
         PhotonRecord {
             position_bits: [1.0f32.to_bits(), 2.0f32.to_bits(), 3.0f32.to_bits()],

@@ -1,13 +1,11 @@
 //! A ray's flight across tiles against brute force: whatever the rooms and tiles, the first hit is the nearest of
 //! all triangles of the scene, to the bit, slivers and grazing rays included.
 
-use enf_geometry::{
-    PreparedRay, Ray, Structure, StructureKind, TileMesh, build_bvh, build_grid, nearest_by_force,
-};
+use enf_geometry::{Query, Ray, Structure, StructureKind, TileMesh, nearest_by_force};
 use enf_layout::NONE;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::{Bsp, Options, RoomCount, Tables, TileLimit, partition};
-use enf_transport::flight::{Flight, Resident, fly, prepare};
+use enf_transport::flight::{Flight, Resident, fly};
 use enf_transport::rng::{self, Purpose};
 use enf_transport::vector;
 use glam::Vec3;
@@ -94,11 +92,9 @@ fn cut(triangles: &[Triangle], rooms: RoomCount, limit: TileLimit) -> Cut {
             );
             // Every other tile has the other structure: to a ray they are the same.
             let view = TileMesh::from_blob(&mesh).expect("a mesh");
-            let (kind, blob) = if tile % 2 == 0 {
-                (StructureKind::Bvh, build_bvh(&view, delta))
-            } else {
-                (StructureKind::Grid, build_grid(&view, delta))
-            };
+            let kind = if tile % 2 == 0 { StructureKind::Bvh } else { StructureKind::Grid };
+            let mut blob = kind.build(&view, delta);
+            kind.complete(&mut blob, &view).expect("of this mesh");
             (mesh, kind, blob)
         })
         .collect();
@@ -117,21 +113,14 @@ fn first_hit(cut: &Cut, ray: &Ray) -> Option<(u32, u32)> {
         last_triangle: NONE,
         ..TransitRecord::default()
     };
-    let prepared = prepare(&record);
     for _ in 0..10_000 {
         let tile = bsp.leaves[record.leaf as usize].tile;
         let (mesh, kind, blob) = &cut.tiles[tile as usize];
         let mesh = TileMesh::from_blob(mesh).expect("a mesh");
-        let structure = Structure::from_blob(*kind, blob, mesh.len()).expect("a structure");
-        let resident = Resident {
-            tile,
-            bsp: &bsp,
-            mesh: &mesh,
-            structure: &structure,
-            materials: &[],
-            delta: cut.delta,
-        };
-        match fly(&resident, &record, &prepared, f32::INFINITY, |_, _| {}) {
+        let structure = Structure::from_blob(*kind, blob, mesh, cut.delta).expect("a structure");
+        let resident =
+            Resident { tile, bsp: &bsp, structure: &structure, materials: &[], delta: cut.delta };
+        match fly(&resident, &record, f32::INFINITY, |_, _| {}) {
             Flight::Hit { hit, .. } => return Some((hit.t.to_bits(), hit.global)),
             Flight::Leaves { leaf, t } => {
                 record.leaf = leaf;
@@ -182,9 +171,12 @@ fn the_first_hit_is_the_nearest_whatever_the_tiles() {
             }
             let ray = Ray { origin, direction };
             let delta = cuts[0].delta;
-            let expected =
-                nearest_by_force(&whole, &PreparedRay::new(&ray), 0.0, f32::INFINITY, NONE, delta)
-                    .map(|h| (h.t.to_bits(), h.global));
+            let expected = nearest_by_force(
+                &whole,
+                delta,
+                &Query { ray, t_min: 0.0, t_max: f32::INFINITY, exclude: NONE },
+            )
+            .map(|h| (h.t.to_bits(), h.global));
             hits += u32::from(expected.is_some());
             for (c, cut) in cuts.iter().enumerate() {
                 assert_eq!(

@@ -99,6 +99,14 @@ impl<'a> BvhView<'a> {
             if !finite(&node.origin) || !node.step.iter().all(sane) || node.used > 255 {
                 return Err(format!("hierarchy node {i} has no frame"));
             }
+            // Wide enough to be seen from everywhere, and finite on the way: see `walk::reach`.
+            let reach = self.reach;
+            let seen = |(origin, step): (&f32, &f32)| {
+                origin.abs() <= reach && *step <= reach && 255.0 * step >= self.delta
+            };
+            if reach >= 0.0 && !node.origin.iter().zip(&node.step).all(seen) {
+                return Err(format!("hierarchy node {i} has a frame that rays cannot see"));
+            }
             let mut inner = 0;
             for (slot, child) in node.child.into_iter().enumerate() {
                 if (node.used >> slot & 1 == 0) != (child == CHILD_NONE) {

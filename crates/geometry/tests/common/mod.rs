@@ -2,9 +2,11 @@
 #![allow(dead_code, missing_docs, unreachable_pub)]
 
 pub mod closed;
+pub mod hard;
 
 use enf_geometry::{
-    BvhView, GridView, Hit, NONE, Query, Ray, Structure, StructureKind, TileMesh, nearest_by_force,
+    BvhView, GridView, Hit, Instructions, NONE, Query, Ray, Structure, StructureKind, TileMesh,
+    nearest_by_force,
 };
 use glam::Vec3;
 
@@ -71,22 +73,41 @@ impl Tile<'_> {
         nearest_by_force(&self.mesh, self.delta, query)
     }
 
-    /// The only place that knows how batches are asked.
+    /// Every way of asking for the nearest hit.
+    pub fn ways(&self, query: &Query) -> Vec<(&'static str, Option<Hit>)> {
+        let mut ways = vec![
+            ("grid", self.grid.nearest(query)),
+            ("grid, by its kind", self.structure(StructureKind::Grid).nearest(query)),
+            ("hierarchy", self.bvh.nearest(query)),
+            ("hierarchy, by its kind", self.structure(StructureKind::Bvh).nearest(query)),
+        ];
+        ways.extend(levels().map(|(name, level)| (name, self.bvh.nearest_with(level, query))));
+        ways
+    }
+
+    /// Every way of asking whether there is one.
+    pub fn shadows(&self, query: &Query) -> Vec<(&'static str, bool)> {
+        let mut ways = vec![
+            ("grid", self.grid.occluded(query)),
+            ("grid, by its kind", self.structure(StructureKind::Grid).occluded(query)),
+            ("hierarchy", self.bvh.occluded(query)),
+            ("hierarchy, by its kind", self.structure(StructureKind::Bvh).occluded(query)),
+        ];
+        ways.extend(levels().map(|(name, level)| (name, self.bvh.occluded_with(level, query))));
+        ways
+    }
+
+    pub fn structure(&self, kind: StructureKind) -> Structure<'_> {
+        match kind {
+            StructureKind::Grid => Structure::Grid(self.grid),
+            StructureKind::Bvh => Structure::Bvh(self.bvh),
+        }
+    }
+
     pub fn batch(&self, queries: &[Query]) -> Vec<Option<Hit>> {
         let mut answers = vec![None; queries.len()];
         self.bvh.nearest_batch(queries, &mut answers);
         answers
-    }
-
-    /// Every way of asking one query.
-    pub fn ways(&self, query: &Query) -> Vec<(&'static str, Option<Hit>)> {
-        let structure = Structure::Bvh(self.bvh);
-        vec![
-            ("grid", self.grid.nearest(query)),
-            ("hierarchy", self.bvh.nearest(query)),
-            ("hierarchy, portable", self.bvh.nearest_with(enf_geometry::Instructions::Portable, query)),
-            ("hierarchy, by its kind", structure.nearest(query)),
-        ]
     }
 
     /// Every way of asking must give this answer, to the bit, and know where it keeps the triangle.
@@ -95,22 +116,74 @@ impl Tile<'_> {
             assert_eq!(bits(found), bits(truth), "{way}: {}", spelt(query));
             let Some(hit) = found else { continue };
             let i = self.mesh.global.binary_search(&hit.global).unwrap();
-            let (corners, material) = match way {
-                "grid" => (self.grid.corners(hit.slot), self.grid.material(hit.slot)),
-                _ => (self.bvh.corners(hit.slot), self.bvh.material(hit.slot)),
+            let (corners, material) = if way.starts_with("grid") {
+                (self.grid.corners(hit.slot), self.grid.material(hit.slot))
+            } else {
+                (self.bvh.corners(hit.slot), self.bvh.material(hit.slot))
             };
             assert_eq!(corners, self.mesh.corners(i as u32), "{way}: {}", spelt(query));
             assert_eq!(material, self.mesh.materials[i], "{way}: {}", spelt(query));
+        }
+        for (way, found) in self.shadows(query) {
+            assert_eq!(found, truth.is_some(), "shadow, {way}: {}", spelt(query));
         }
     }
 
     /// All at once must give these answers.
     pub fn check_batch(&self, queries: &[Query], truths: &[Option<Hit>]) {
-        let found = self.batch(queries);
-        assert_eq!(found.len(), truths.len());
-        for ((query, found), truth) in queries.iter().zip(found).zip(truths) {
-            assert_eq!(bits(found), bits(*truth), "batch: {}", spelt(query));
+        assert_eq!(queries.len(), truths.len());
+        // What was in the answers before is not to matter.
+        let old = Some(Hit { t: 1.0, global: 77, u: 0.0, v: 0.0, slot: 0 });
+        let check = |way: &str, ask: &dyn Fn(&mut [Option<Hit>]), shadow: &dyn Fn(&mut [bool])| {
+            let mut found = vec![old; queries.len()];
+            ask(&mut found);
+            let mut dark: Vec<bool> = truths.iter().map(Option::is_none).collect();
+            shadow(&mut dark);
+            for (i, query) in queries.iter().enumerate() {
+                assert_eq!(bits(found[i]), bits(truths[i]), "batch, {way}: {}", spelt(query));
+                assert_eq!(dark[i], truths[i].is_some(), "batch, {way}: {}", spelt(query));
+            }
+        };
+        for (name, level) in levels() {
+            let ask = |out: &mut [Option<Hit>]| self.bvh.nearest_batch_with(level, queries, out);
+            let shadow = |out: &mut [bool]| self.bvh.occluded_batch_with(level, queries, out);
+            check(name, &ask, &shadow);
         }
+        for kind in KINDS {
+            let structure = self.structure(kind);
+            let ask = |out: &mut [Option<Hit>]| structure.nearest_batch(queries, out);
+            let shadow = |out: &mut [bool]| structure.occluded_batch(queries, out);
+            check(structure_name(kind), &ask, &shadow);
+        }
+    }
+}
+
+/// The sets of instructions that this machine has.
+pub fn levels() -> impl Iterator<Item = (&'static str, Instructions)> {
+    let name = |level| match level {
+        Instructions::Portable => ("hierarchy, portable", level),
+        Instructions::Avx2 => ("hierarchy, AVX2", level),
+        Instructions::Avx512 => ("hierarchy, AVX-512", level),
+    };
+    Instructions::ALL.into_iter().filter(|level| level.available()).map(name)
+}
+
+fn structure_name(kind: StructureKind) -> &'static str {
+    match kind {
+        StructureKind::Grid => "grid, by its kind",
+        StructureKind::Bvh => "hierarchy, by its kind",
+    }
+}
+
+/// Asks a hierarchy in all ways, whatever comes of it.
+pub fn exercise(bvh: &BvhView<'_>, queries: &[Query]) {
+    for (_, level) in levels() {
+        for query in queries {
+            bvh.nearest_with(level, query);
+            bvh.occluded_with(level, query);
+        }
+        bvh.nearest_batch_with(level, queries, &mut vec![None; queries.len()]);
+        bvh.occluded_batch_with(level, queries, &mut vec![false; queries.len()]);
     }
 }
 
