@@ -207,6 +207,21 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    #[test]
+    fn records_become_planes() {
+        let records = [[1, 0, 0, 9], [2, 0, 0, 8], [3, 0, 0, 7]];
+        let blob = sections::build(&[(records.as_flattened(), Transform::Planes, 1)]);
+        let at = sections::table(&blob).unwrap()[0].offset as usize;
+        let mut coded = vec![0; blob.len()];
+        forward(&blob, &mut coded).unwrap();
+        assert_eq!(coded[at..at + 12], [1, 2, 3, 0, 0, 0, 0, 0, 0, 9, 8, 7]);
+        // Scratch is needed for what is not zero.
+        assert_eq!(scratch_bytes(&coded).unwrap(), 6);
+        assert!(inverse(&mut coded.clone(), &mut [0; 5]).is_err());
+        inverse(&mut coded, &mut [0; 6]).unwrap();
+        assert_eq!(coded, blob);
+    }
+
     proptest! {
         #[test]
         fn inverse_undoes_forward(

@@ -1,6 +1,9 @@
 //! Halving a set of triangles again and again, by the surface area heuristic: large sets in bins (Wald 2007, *On fast
 //! construction of SAH-based bounding volume hierarchies*), small ones exactly.
 //!
+//! A few triangles as large as the whole set, such as the walls of a room, are set apart first: among the others they would
+//! make a large box of every set that they come into, which the heuristic, looking one step ahead, does not foresee.
+//!
 //! A leaf costs as much with one triangle as with four, so what is counted is blocks. The number of blocks is kept
 //! within bounds by a purse: every block more than a set needs is paid from what the set was given.
 
@@ -18,13 +21,17 @@ const MANY: usize = 256;
 const SMALL: usize = 64;
 /// What a further leaf costs by itself, in blocks that are tested.
 const SPLIT_COST: f32 = 0.3;
+/// Triangles whose boxes have this share of the surface of the set's are large.
+const LARGE: f32 = 0.1;
+/// They are set apart where the set has so many more than them.
+const FEW: usize = 64;
 /// Deeper than this, sets are halved by count, which ends soon.
 const STEEP: u32 = 30;
 
 // Halving ends after 27 levels, when 2^29 triangles are blocks; the wide tree is at most as deep.
 const _: () = assert!(STEEP as usize + 27 + 2 < DEPTH && SMALL <= 64);
 
-/// A triangle's box. The last component of `min` holds its index.
+/// A triangle's box. The last component of `min` holds its index, that of `max` half the box's surface; finite.
 #[derive(Clone, Copy)]
 struct Item {
     min: Vec4,
@@ -39,8 +46,10 @@ impl Item {
     #[inline(always)]
     fn new(mesh: &TileMesh, triangle: u32) -> Self {
         let [a, b, c] = mesh.corner_arrays(triangle).map(|&p| Vec3::from_array(p));
-        let min = a.min(b).min(c).extend(f32::from_bits(triangle ^ ORDINARY));
-        Self { min, max: a.max(b).max(c).extend(0.0) }
+        let (min, max) = (a.min(b).min(c), a.max(b).max(c));
+        let d = max - min;
+        let area = (d.x * d.y + d.y * d.z + d.z * d.x).min(f32::MAX);
+        Self { min: min.extend(f32::from_bits(triangle ^ ORDINARY)), max: max.extend(area) }
     }
 
     fn triangle(&self) -> u32 {
@@ -106,9 +115,19 @@ pub(super) fn divide(mesh: &TileMesh) -> Tree {
             continue;
         }
         let n = mine.len();
-        let (middle, [front, back]) = split(mine, job.depth, job.spare);
         tree.nodes.push(inner(&job.bounds));
-        let [first, second] = share(job.spare, middle, n);
+        let apart = if job.depth < STEEP { set_apart(mine, &job.bounds) } else { None };
+        let with_purse = apart.is_some();
+        let (middle, [front, back]) = match apart {
+            Some(parts) => parts,
+            None => split(mine, job.depth, job.spare),
+        };
+        let [mut first, mut second] = share(job.spare, middle, n);
+        if with_purse {
+            // Each may have a block of its own.
+            let more = (middle - first.min(middle)).min(second);
+            (first, second) = (first + more, second - more);
+        }
         let middle = from + middle;
         stack.push(Job {
             second_of: Some(at),
@@ -197,6 +216,27 @@ fn longest(size: Vec4) -> usize {
 /// Half of `n`, in whole blocks.
 fn half(n: usize) -> usize {
     blocks_needed(n) / 2 * LEAF_TRIANGLES
+}
+
+/// Brings a few large triangles to the front of a set, if there are any; how many, and the boxes of both parts.
+fn set_apart(items: &mut [Item], bounds: &Bounds) -> Option<(usize, [Bounds; 2])> {
+    let large = LARGE * bounds.area();
+    // The last component is the largest of all.
+    if large > bounds.max.w {
+        return None;
+    }
+    let count = items.iter().filter(|item| item.max.w >= large).count();
+    if count == 0 || count * FEW > items.len() {
+        return None;
+    }
+    let mut middle = 0;
+    for i in 0..items.len() {
+        if items[i].max.w >= large {
+            items.swap(i, middle);
+            middle += 1;
+        }
+    }
+    Some((middle, [of(&items[..middle]), of(&items[middle..])]))
 }
 
 /// Where to part a large set, which is then sorted accordingly, and the boxes of the parts.
@@ -398,6 +438,9 @@ impl<'a> Small<'a> {
         let most =
             if n > LEAF_TRIANGLES { f32::INFINITY } else { (1.0 - SPLIT_COST) * bounds.area() };
         let mut best = (most, by_count);
+        // Blocks are what counts; but whoever may have as many as he likes had better look ahead.
+        let rich = n > LEAF_TRIANGLES && 2 * spare >= n;
+        let weigh = |n: usize| if rich { 0.25 * n as f32 } else { blocks_needed(n) as f32 };
         let mut right = [0.0f32; SMALL + 1];
         for axis in 0..3 {
             let mut sum = Bounds::EMPTY;
@@ -405,15 +448,15 @@ impl<'a> Small<'a> {
                 let item = self.item(axis, from + i);
                 sum.add(item.min, item.max);
                 if extra(i, n) <= spare {
-                    right[i] = sum.area() * blocks_needed(n - i) as f32;
+                    right[i] = sum.area() * weigh(n - i);
                 }
             }
             let mut sum = Bounds::EMPTY;
-            for i in 1..n {
+            for (i, right) in right.iter().enumerate().take(n).skip(1) {
                 let item = self.item(axis, from + i - 1);
                 sum.add(item.min, item.max);
                 if extra(i, n) <= spare {
-                    let cost = sum.area() * blocks_needed(i) as f32 + right[i];
+                    let cost = sum.area() * weigh(i) + right;
                     if cost < best.0 {
                         best = (cost, Some((axis, i)));
                     }

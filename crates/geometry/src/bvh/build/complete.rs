@@ -146,38 +146,37 @@ impl Completing<'_, '_> {
         let Some(block) = self.blocks.get_mut(at) else {
             return Err(Malformed(format!("hierarchy node {node} has a block {at}")));
         };
+        let mesh = *self.mesh;
         let mut bounds = Bounds::EMPTY;
         // Corner, lane.
         let mut seen = [[Vec4::ZERO; LEAF_TRIANGLES]; 3];
-        for lane in 0..LEAF_TRIANGLES {
-            if lane >= count {
-                block.global[lane] = NO_TRIANGLE;
-                block.material[lane] = 0;
-                continue;
-            }
-            let stored = block.global[lane];
+        let (mut global, mut material) = ([NO_TRIANGLE; LEAF_TRIANGLES], [0; LEAF_TRIANGLES]);
+        for (lane, &stored) in block.global.iter().enumerate().take(count) {
             let triangle = if self.again {
-                local(self.mesh, stored).unwrap_or(NO_TRIANGLE)
+                local(&mesh, stored).unwrap_or(NO_TRIANGLE)
             } else {
                 self.before.wrapping_add((stored >> 1) ^ (stored & 1).wrapping_neg())
             };
             self.before = triangle;
-            if triangle >= self.mesh.len() {
-                let n = self.mesh.len();
+            let place = triangle as usize;
+            let (Some(&g), Some(&m), Some(corners)) =
+                (mesh.global.get(place), mesh.materials.get(place), mesh.triangles.get(place))
+            else {
+                let n = mesh.len();
                 return Err(Malformed(format!(
                     "hierarchy block {at} has triangle {triangle} of {n}"
                 )));
-            }
-            let corners = self.mesh.corner_arrays(triangle);
+            };
+            (global[lane], material[lane]) = (g, m);
+            let corners = corners.map(|v| &mesh.vertices[v as usize]);
             let [a, b, c] = corners.map(|p| Vec3::from_array(*p).extend(0.0));
             bounds.add(a.min(b).min(c), a.max(b).max(c));
             let flat = is_flat(corners);
             for (seen, p) in seen.iter_mut().zip([a, b, c]) {
                 seen[lane] = if flat { Vec4::NAN } else { p };
             }
-            block.global[lane] = self.mesh.global[triangle as usize];
-            block.material[lane] = self.mesh.materials[triangle as usize];
         }
+        (block.global, block.material) = (global, material);
         for (corner, [a, b, c, d]) in block.corners.iter_mut().zip(seen) {
             let by_axis = Mat4::from_cols(a, b, c, d).transpose().to_cols_array_2d();
             let [x, y, z, _] = by_axis;

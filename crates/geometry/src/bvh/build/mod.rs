@@ -26,7 +26,7 @@ const GROWN: f64 = 4.0;
 /// Of so many triangles, one block more than necessary may come.
 const SPARING: usize = 32;
 
-/// A box that grows, m. Its fourth component is of no use.
+/// A box that grows, m. The fourth component of `max` is the largest of what was added.
 #[derive(Clone, Copy)]
 struct Bounds {
     min: Vec4,

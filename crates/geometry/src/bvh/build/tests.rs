@@ -108,10 +108,15 @@ fn below(view: &BvhView, mesh: &TileMesh, node: usize, delta: f32, depth: usize)
                     f64::from(node.origin[axis]) + f64::from(q) * f64::from(node.step[axis])
                 };
                 for p in mesh.corner_arrays(triangle) {
-                    // The largest numbers have no neighbours to round to.
-                    let low = (f64::from(p[axis]) - grown).max(f64::from(f32::MIN));
-                    let high = f64::from(p[axis]) + grown;
-                    assert!(at(bounds[slot]) <= low && high <= at(bounds[slot + WIDTH]));
+                    // The largest numbers have no neighbours to round to, and f64 has 53 digits.
+                    let fuzz = 1e-15 * (at(255) - at(0));
+                    let low = (f64::from(p[axis]) - grown).max(f64::from(f32::MIN)) + fuzz;
+                    let high = f64::from(p[axis]) + grown - fuzz;
+                    let (lower, upper) = (at(bounds[slot]), at(bounds[slot + WIDTH]));
+                    assert!(
+                        lower <= low && high <= upper,
+                        "{lower} {low} {high} {upper}, {node:?}"
+                    );
                 }
             }
         }
@@ -218,6 +223,59 @@ fn a_hierarchy_that_is_none_is_named() {
     let last = table[SECTION_NODES].bytes as usize / size_of::<BvhNode>() - 1;
     let leaf = child + last * size_of::<BvhNode>();
     let slot = (0..WIDTH).find(|&s| blob[leaf + s] != CHILD_NONE).unwrap();
-    assert!(error(leaf + slot, CHILD_INNER).contains("hierarchy node"));
+    assert!(error(leaf + slot, CHILD_INNER).contains("hierarchy"));
     assert!(complete_bvh(&mut blob[..100].to_vec(), &mesh).is_err());
+}
+
+/// Six walls of two triangles each, around some thousand small ones.
+#[test]
+fn walls_are_set_apart() {
+    let size = [8.0, 6.0, 3.0];
+    let corner = |bits: usize| std::array::from_fn(|axis| size[axis] * (bits >> axis & 1) as f32);
+    let mut triangles: Vec<Corners> = Vec::new();
+    for axis in 0..3 {
+        for side in [0, 1 << axis] {
+            let (u, v) = (1 << ((axis + 1) % 3), 1 << ((axis + 2) % 3));
+            let [a, b, c, d] = [0, u, u | v, v].map(|bits| corner(side | bits));
+            triangles.extend([[a, b, c], [a, c, d]]);
+        }
+    }
+    let mut random = Random(4);
+    for _ in 0..4000 {
+        let at = random.point();
+        triangles
+            .push(random.triangle(std::array::from_fn(|i| size[i] * (0.02 + 0.96 * at[i])), 0.05));
+    }
+    let mesh_blob = mesh_of(&triangles);
+    let mesh = TileMesh::from_blob(&mesh_blob).unwrap();
+    let blob = completed(&mesh, 1e-5);
+    let view = BvhView::from_blob(&blob, &mesh, 1e-5).unwrap();
+    let is_wall = |&triangle: &u32| triangle < 12;
+    let mut blocks_of_walls = 0;
+    for block in view.blocks {
+        let lanes = block.global.iter().filter_map(|&global| local(&mesh, global));
+        let walls = lanes.clone().filter(is_wall).count();
+        if walls > 0 {
+            // Whole walls, and nothing else.
+            assert!(walls == lanes.count() && walls % 2 == 0);
+            blocks_of_walls += 1;
+        }
+    }
+    assert!(blocks_of_walls >= 5, "{blocks_of_walls}");
+    // And none is below more than two nodes.
+    let mut at_depth_three = Vec::new();
+    let inner = |node: &BvhNode| {
+        (
+            node.nodes,
+            node.child.iter().filter(|&&c| c != CHILD_NONE && c & CHILD_INNER != 0).count(),
+        )
+    };
+    let (first, count) = inner(&view.nodes[0]);
+    for child in first as usize..first as usize + count {
+        let (first, count) = inner(&view.nodes[child]);
+        for grandchild in first as usize..first as usize + count {
+            at_depth_three.extend(below(&view, &mesh, grandchild, 1e-5, 3));
+        }
+    }
+    assert!(at_depth_three.len() > 3000 && !at_depth_three.iter().any(|t| is_wall(t)));
 }

@@ -10,6 +10,8 @@ use super::nodes_most;
 
 /// Cost of opening a node, in blocks that are tested.
 const NODE_COST: f32 = 1.0;
+/// What a node costs even where rays never come, as it takes memory: in openings of the mean leaf.
+const KEEP_COST: f32 = 1.0;
 
 /// What is stored of a node: for each slot [`CHILD_NONE`], [`CHILD_INNER`], or the triangles less one of a leaf, from bit
 /// 5 on.
@@ -60,6 +62,9 @@ pub(super) fn collapse_by(
 }
 
 fn costs(nodes: &[Binary]) -> Vec<Costs> {
+    let leaves = nodes.iter().filter(|node| node.count > 0);
+    let (sum, leaves) = leaves.fold((0.0, 0), |(sum, n), leaf| (sum + leaf.area, n + 1));
+    let keep = KEEP_COST * sum / leaves.max(1) as f32;
     let mut costs = vec![[0.0; WIDTH - 1]; nodes.len()];
     for (i, node) in nodes.iter().enumerate().rev() {
         if node.count > 0 {
@@ -68,7 +73,7 @@ fn costs(nodes: &[Binary]) -> Vec<Costs> {
         }
         let (first, second) = (costs[i + 1], costs[node.at as usize]);
         let mut mine = [0.0; WIDTH - 1];
-        mine[0] = node.area * NODE_COST + shared(&first, &second, WIDTH).0;
+        mine[0] = NODE_COST * (node.area + keep) + shared(&first, &second, WIDTH).0;
         for places in 2..WIDTH {
             mine[places - 1] = shared(&first, &second, places).0.min(mine[places - 2]);
         }
