@@ -280,4 +280,17 @@ fn a_batch_may_have_any_length() {
             (0..n).map(|i| Some((i % 11) as f32 + 1.0).filter(|&t| t < 9.5)).collect();
         assert_eq!(t, expected);
     }
+    // As many as there are of both.
+    let queries = [common::anything(ALONG); 10];
+    let hit = tile.by_force(&queries[0]);
+    for n in [0, 4, 10, 12] {
+        for kind in common::KINDS {
+            let (mut hits, mut shadows) = (vec![None; n], vec![false; n]);
+            tile.structure(kind).nearest_batch(&queries, &mut hits);
+            tile.structure(kind).occluded_batch(&queries, &mut shadows);
+            for i in 0..n {
+                assert_eq!((hits[i], shadows[i]), if i < 10 { (hit, true) } else { (None, false) });
+            }
+        }
+    }
 }

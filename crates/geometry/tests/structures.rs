@@ -433,6 +433,28 @@ fn a_hierarchy_as_deep_as_may_be() {
     }
 }
 
+/// A structure answers for any tolerance up to its own, also where that is too small for its coordinates.
+#[test]
+fn a_structure_answers_for_smaller_tolerances() {
+    let mut random = Random(26);
+    let triangles = common::zoo(&mut random, 150, 4.0);
+    let blobs = Blobs::new(&triangles, delta(4.0));
+    for part in [1.0, 0.9, 0.5, 0.25, 1e-3, 1e-9, 0.0] {
+        let tile = blobs.tile_for(part * blobs.delta);
+        let (mut queries, mut truths) = (Vec::new(), Vec::new());
+        for _ in 0..1000 {
+            let query = anything(common::ray(&mut random, &triangles, 4.0));
+            let truth = tile.by_force(&query);
+            tile.check(&query, truth);
+            queries.push(query);
+            truths.push(truth);
+        }
+        tile.check_batch(&queries, &truths);
+        // No f32 is near enough where the tolerance is less than its rounding.
+        assert!(truths.iter().flatten().count() > 300 || part < 0.2);
+    }
+}
+
 /// Completing twice is completing once: what is loaded may have been complete already.
 #[test]
 fn completing_depends_on_the_mesh_alone() {
