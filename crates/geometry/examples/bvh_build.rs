@@ -50,17 +50,32 @@ fn read(scene: &str) -> std::io::Result<Vec<[[f32; 3]; 3]>> {
     Ok(indices.as_chunks::<3>().0.iter().map(|t| t.map(|i| vertices[i as usize])).collect())
 }
 
-/// The median of some times, and the least, s.
-fn median(rounds: usize, mut what: impl FnMut()) -> (f64, f64) {
-    let mut times: Vec<f64> = (0..rounds)
+/// Processor time of this thread, s (in steps of some milliseconds), so that other work on the machine disturbs less; where
+/// the system does not tell, time that has gone by since `start`.
+fn now(start: &Instant) -> f64 {
+    let told = std::fs::read_to_string("/proc/thread-self/schedstat").ok();
+    let nanoseconds = told.and_then(|s| s.split(' ').next()?.parse::<f64>().ok());
+    nanoseconds.map_or_else(|| start.elapsed().as_secs_f64(), |n| n * 1e-9)
+}
+
+/// What something takes, s: the median of five times, each long enough to be measured.
+fn time(mut what: impl FnMut()) -> f64 {
+    let mut times: Vec<f64> = (0..5)
         .map(|_| {
-            let start = Instant::now();
-            what();
-            start.elapsed().as_secs_f64()
+            let first = Instant::now();
+            let (start, mut rounds) = (now(&first), 0);
+            loop {
+                what();
+                rounds += 1;
+                let gone = now(&first) - start;
+                if gone > 0.1 {
+                    return gone / f64::from(rounds);
+                }
+            }
         })
         .collect();
     times.sort_by(f64::total_cmp);
-    (times[rounds / 2], times[0])
+    times[2]
 }
 
 /// Walks of photons through a room: each query begins where the one before ended.
@@ -101,10 +116,8 @@ fn measure(scene: &str, rays: usize) -> Result<(), Box<dyn std::error::Error>> {
     let mesh_blob = TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
     let mesh = TileMesh::from_blob(&mesh_blob)?;
     let delta = 32.0 / (1 << 19) as f32;
-    let rounds = (2_000_000 / soup.len().max(1)).clamp(3, 21);
-
     let mut blob = Vec::new();
-    let (building, quickest) = median(rounds, || blob = build_bvh(&mesh, delta));
+    let building = time(|| blob = build_bvh(&mesh, delta));
     let mut coded = vec![0; blob.len()];
     codec::forward(&blob, &mut coded)?;
     let disk = zstd::bulk::compress(&coded, 3)?;
@@ -121,32 +134,25 @@ fn measure(scene: &str, rays: usize) -> Result<(), Box<dyn std::error::Error>> {
         codec::forward(&mesh_blob, &mut coded)?;
         zstd::bulk::compress(&coded, 3)?.len()
     };
-    // From compressed bytes to what rays walk through.
+    // From compressed bytes to what rays walk through, in three steps.
     let mut scratch = vec![0; codec::scratch_bytes(&coded)?];
     let mut inflater = zstd::bulk::Decompressor::new()?;
-    let mut steps = [const { Vec::new() }; 3];
-    for _ in 0..rounds {
-        let start = Instant::now();
-        inflater.decompress_to_buffer(&disk, &mut blob[..])?;
-        steps[0].push(start.elapsed().as_secs_f64());
-        let start = Instant::now();
-        codec::inverse(&mut blob, &mut scratch)?;
-        steps[1].push(start.elapsed().as_secs_f64());
-        let start = Instant::now();
-        complete_bvh(&mut blob, &mesh)?;
-        steps[2].push(start.elapsed().as_secs_f64());
-    }
-    let [inflate, inverse, complete] = steps.map(|mut s| {
-        s.sort_by(f64::total_cmp);
-        s[s.len() / 2]
-    });
+    let mut step = |steps: usize| {
+        let _ = inflater.decompress_to_buffer(&disk, &mut blob[..]);
+        if steps > 1 {
+            let _ = codec::inverse(&mut blob, &mut scratch);
+        }
+        if steps > 2 {
+            let _ = complete_bvh(&mut blob, &mesh);
+        }
+    };
+    let [one, two, three] = [1, 2, 3].map(|steps| time(|| step(steps)));
     let bvh = BvhView::from_blob(&blob, &mesh, delta)?;
     let size = blob.len() as f64;
     println!("{scene}: {triangles} triangles");
     println!(
-        "  built: {:.2} M triangles/s ({:.2} at best), {:.0}% of the bytes promised, {:.2} triangles a block, {:.2} blocks a node",
+        "  built: {:.2} M triangles/s, {:.0}% of the bytes promised, {:.2} triangles a block, {:.2} blocks a node",
         triangles / building / 1e6,
-        triangles / quickest / 1e6,
         100.0 * size / bvh_bytes_estimate(soup.len() as u64) as f64,
         triangles / bvh.block_count() as f64,
         bvh.block_count() as f64 / bvh.node_count() as f64,
@@ -160,22 +166,22 @@ fn measure(scene: &str, rays: usize) -> Result<(), Box<dyn std::error::Error>> {
     );
     println!(
         "  ready: {:.2} GB/s of resident bytes (inflating {:.1}, transform {:.1}, completing {:.2} GB/s)",
-        size / (inflate + inverse + complete) / 1e9,
-        size / inflate / 1e9,
-        size / inverse / 1e9,
-        size / complete / 1e9,
+        size / three / 1e9,
+        size / one / 1e9,
+        size / (two - one) / 1e9,
+        size / (three - two) / 1e9,
     );
     if rays > 0 {
         let queries = walks(&mesh, &bvh, rays);
         let mut answers = vec![None; rays];
         let mut length = 0.0;
-        let (single, _) = median(5, || {
+        let single = time(|| {
             length = 0.0;
             for query in &queries {
                 length += bvh.nearest(query).map_or(0.0, |hit| f64::from(hit.t));
             }
         });
-        let (batch, _) = median(5, || {
+        let batch = time(|| {
             for (q, a) in queries.chunks(10_000).zip(answers.chunks_mut(10_000)) {
                 bvh.nearest_batch(q, a);
             }

@@ -173,7 +173,7 @@ fn main() {
         ("grid", &|q, a| one_by_one(&|query| grid.nearest(query), q, a)),
         ("hierarchy", &|q, a| one_by_one(&|query| bvh.nearest(query), q, a)),
         ("hierarchy, portable", &|q, a| {
-            one_by_one(&|query| bvh.nearest_with(Instructions::Portable, query), q, a)
+            one_by_one(&|query| bvh.nearest_with(enf_geometry::Instructions::Portable, query), q, a)
         }),
         ("hierarchy, batches", &|q, a| bvh.nearest_batch(q, a)),
     ];

@@ -6,12 +6,11 @@
 //! | [`SECTION_HEADER`] | [`BvhHeader`] | one |
 //! | [`SECTION_NODES`] | [`BvhNode`] | node 0 is the root; a node's inner children follow each other, after it |
 //! | [`SECTION_BLOCKS`] | [`LeafBlock`] | one for each leaf |
-//! | [`SECTION_REFERENCES`] | `u32` | four for each block: triangles of the tile (indices into its mesh), each once; where a block has fewer, [`NO_TRIANGLE`], and in a store the reference before |
 //!
-//! What a mesh can tell is not stored: of nodes only [`BvhNode::child`], of blocks nothing; the rest is zero. Whoever loads a
-//! hierarchy walks through it once, and finds corners, boxes and indices again. For this, node 0 is visited first; the
-//! inner children of the node that is visited are the next nodes, its leaves the next blocks, in the order of their slots; then its
-//! inner children are visited in this order, each with all that is below it.
+//! What a mesh can tell is not stored: of nodes only [`BvhNode::child`], of blocks only which triangles of the tile they hold; the
+//! rest is zero. Whoever loads a hierarchy walks through it once, and finds corners, boxes and indices again. For this,
+//! node 0 is visited first; the inner children of the node that is visited are the next nodes, its leaves the next blocks, in the
+//! order of their slots; then its inner children are visited in this order, each with all that is below it.
 //!
 //! Boxes are quantised to eight bits in the frame of their node, outwards (Ylitie, Karras and Laine 2017,
 //! *Efficient incoherent ray traversal on GPUs through compressed wide BVHs*): ten bytes a child.
@@ -24,12 +23,10 @@ pub const SECTION_HEADER: usize = 0;
 pub const SECTION_NODES: usize = 1;
 /// Blocks of triangles.
 pub const SECTION_BLOCKS: usize = 2;
-/// References.
-pub const SECTION_REFERENCES: usize = 3;
 /// Number of sections.
-pub const SECTIONS: usize = 4;
+pub const SECTIONS: usize = 3;
 
-/// A reference of a lane that holds nothing.
+/// In [`LeafBlock::global`]: a lane that holds nothing.
 pub const NO_TRIANGLE: u32 = u32::MAX;
 
 /// Children of a node, at most.
@@ -87,14 +84,15 @@ const _: () = assert!(size_of::<BvhNode>() == 96);
 /// Up to [`LEAF_TRIANGLES`] triangles as a vector unit likes them: everything that a ray, and who looks at what it hit,
 /// wants to know.
 ///
-/// Zero in a store, where the mesh has all this: whoever loads a hierarchy fills it in, lane by lane, from the triangles
-/// that the references name.
+/// In a store, only `global` is not zero: the triangle's index in its tile as the difference `d` from the lane before (from 0 in the first
+/// lane of all), modulo 2^32, in zigzag: `(d << 1) ^ (d >> 31)`, the second shift arithmetic. Lanes that hold nothing
+/// have difference 0.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
 pub struct LeafBlock {
     /// Corner, axis, lane: coordinates, m.
     pub corners: [[[f32; LEAF_TRIANGLES]; 3]; 3],
-    /// Index in the scene.
+    /// Index in the scene; [`NO_TRIANGLE`] where a block has fewer triangles.
     pub global: [u32; LEAF_TRIANGLES],
     /// Material.
     pub material: [u32; LEAF_TRIANGLES],

@@ -80,7 +80,7 @@ pub fn forward(blob: &[u8], out: &mut [u8]) -> Result<(), Malformed> {
     Ok(())
 }
 
-/// Undoes [`forward`], in place, with `scratch` at least as long as the longest section.
+/// Undoes [`forward`], in place, with [`scratch_bytes`] of scratch.
 pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
     for record in sections::table(blob)? {
         let range = record.offset as usize..(record.offset + record.bytes) as usize;
@@ -90,11 +90,15 @@ pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
             continue;
         }
         let planes = scratch
-            .get_mut(..section.len())
+            .get_mut(..scratch_of(&way, section))
             .ok_or_else(|| Malformed("transform scratch is too small".into()))?;
+        if let Way::Records { bytes } = way {
+            from_records(planes, section, bytes);
+            continue;
+        }
         planes.copy_from_slice(section);
         match way {
-            Way::Leave => {}
+            Way::Leave | Way::Records { .. } => {}
             Way::Words { delta: true, stride: 1 } => from_words::<1>(planes, section, undo_delta),
             Way::Words { delta: true, stride: 3 } => from_words::<3>(planes, section, undo_delta),
             Way::Words { delta: false, stride: 3 } => from_words::<3>(planes, section, undo_xor),
@@ -107,19 +111,6 @@ pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
                     let before = if i >= stride { word(section, i - stride) } else { 0 };
                     let value = undo(before, u32::from_le_bytes(residue));
                     section[4 * i..4 * i + 4].copy_from_slice(&value.to_le_bytes());
-                }
-            }
-            Way::Records { bytes } => {
-                let n = section.len() / bytes;
-                section.fill(0);
-                // Many planes hold nothing.
-                for (plane, values) in planes.chunks_exact(n.max(1)).enumerate() {
-                    if values.iter().fold(0, |any, &b| any | b) == 0 {
-                        continue;
-                    }
-                    for (record, &value) in section.chunks_exact_mut(bytes).zip(values) {
-                        record[plane] = value;
-                    }
                 }
             }
         }
@@ -163,9 +154,52 @@ fn from_words<const STRIDE: usize>(
     }
 }
 
-/// Bytes of scratch that [`inverse`] needs for this blob.
+/// The planes of records that hold anything, and their places in the record.
+fn planes_of(section: &[u8], bytes: usize) -> impl Iterator<Item = (usize, &[u8])> {
+    let n = (section.len() / bytes).max(1);
+    let any = |plane: &[u8]| plane.iter().fold(0, |any, &byte| any | byte) != 0;
+    section.chunks_exact(n).enumerate().filter(move |(_, plane)| any(plane))
+}
+
+/// Records from their planes; `scratch` holds those that are not zero.
+fn from_records(scratch: &mut [u8], section: &mut [u8], bytes: usize) {
+    let n = (section.len() / bytes).max(1);
+    let mut places = Vec::with_capacity(scratch.len() / n);
+    for ((place, plane), kept) in planes_of(section, bytes).zip(scratch.chunks_exact_mut(n)) {
+        kept.copy_from_slice(plane);
+        places.push(place);
+    }
+    // A few records at a time, which stay in the cache until they are done.
+    for (k, records) in section.chunks_mut(AT_ONCE * bytes).enumerate() {
+        records.fill(0);
+        for (&place, plane) in places.iter().zip(scratch.chunks_exact(n)) {
+            let values = plane.iter().skip(k * AT_ONCE);
+            for (record, &value) in records.chunks_exact_mut(bytes).zip(values) {
+                record[place] = value;
+            }
+        }
+    }
+}
+
+/// Records whose planes are put together at a time.
+const AT_ONCE: usize = 64;
+
+fn scratch_of(way: &Way, section: &[u8]) -> usize {
+    match way {
+        Way::Leave => 0,
+        Way::Words { .. } => section.len(),
+        Way::Records { bytes } => planes_of(section, *bytes).map(|(_, plane)| plane.len()).sum(),
+    }
+}
+
+/// Bytes of scratch that [`inverse`] needs for this blob, which is what [`forward`] made.
 pub fn scratch_bytes(blob: &[u8]) -> Result<usize, Malformed> {
-    Ok(sections::table(blob)?.iter().map(|r| r.bytes as usize).max().unwrap_or(0))
+    let mut most = 0;
+    for record in sections::table(blob)? {
+        let section = &blob[record.offset as usize..(record.offset + record.bytes) as usize];
+        most = most.max(scratch_of(&way_of(&record)?, section));
+    }
+    Ok(most)
 }
 
 #[cfg(test)]

@@ -20,8 +20,8 @@ pub use enf_layout::bvh::{BvhHeader, BvhNode};
 pub use level::Instructions;
 
 use enf_layout::bvh::{
-    CHILD_INNER, CHILD_NONE, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS,
-    SECTION_HEADER, SECTION_NODES, SECTION_REFERENCES, WIDTH,
+    CHILD_INNER, CHILD_NONE, DEPTH, LeafBlock, NO_TRIANGLE, SECTION_BLOCKS, SECTION_HEADER,
+    SECTION_NODES, WIDTH,
 };
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
@@ -35,7 +35,6 @@ pub struct BvhView<'a> {
     header: &'a BvhHeader,
     nodes: &'a [BvhNode],
     blocks: &'a [LeafBlock],
-    references: &'a [[u32; LEAF_TRIANGLES]],
     delta: f32,
     /// Origins beyond this along any axis are asked by force; all of them, if negative.
     reach: f32,
@@ -64,7 +63,6 @@ impl<'a> BvhView<'a> {
             header,
             nodes: sections::section(blob, SECTION_NODES)?,
             blocks: sections::section(blob, SECTION_BLOCKS)?,
-            references: sections::section(blob, SECTION_REFERENCES)?,
             delta,
             reach: walk::reach(header, delta),
         })
@@ -76,16 +74,13 @@ impl<'a> BvhView<'a> {
         if triangle_count >= 1 << 29 {
             return Err(format!("hierarchy of {triangle_count} triangles"));
         }
-        let listed = self.references.as_flattened().iter().filter(|&&t| t != NO_TRIANGLE).count();
+        let lanes = self.blocks.iter().flat_map(|block| block.global);
+        let listed = lanes.filter(|&global| global != NO_TRIANGLE).count();
         if h.triangles != triangle_count || listed != triangle_count as usize {
             return Err(format!(
                 "hierarchy is for {} triangles and lists {listed}, not {triangle_count}",
                 h.triangles,
             ));
-        }
-        if self.blocks.len() != self.references.len() {
-            let (b, r) = (self.blocks.len(), self.references.len());
-            return Err(format!("hierarchy has {b} blocks and references for {r}"));
         }
         let finite = |p: &[f32; 3]| p.iter().all(|x| x.is_finite());
         if !(finite(&h.min) && finite(&h.max) && h.delta >= 0.0) {
@@ -138,7 +133,7 @@ impl<'a> BvhView<'a> {
                 }
                 let block = u64::from(node.blocks) + u64::from(child & 7);
                 let last = child >> 5;
-                let Some(lanes) = self.references.get(block as usize) else {
+                let Some(LeafBlock { global: lanes, .. }) = self.blocks.get(block as usize) else {
                     return Err(format!("hierarchy node {i} has a block {block}"));
                 };
                 if lanes[..=last as usize].contains(&NO_TRIANGLE) {
@@ -148,20 +143,21 @@ impl<'a> BvhView<'a> {
                 }
             }
         }
-        for (i, (block, references)) in self.blocks.iter().zip(self.references).enumerate() {
-            for (lane, &triangle) in references.iter().enumerate() {
-                if triangle == NO_TRIANGLE {
+        for (i, block) in self.blocks.iter().enumerate() {
+            for (lane, &global) in block.global.iter().enumerate() {
+                if global == NO_TRIANGLE {
                     continue;
                 }
-                let same = mesh.triangles.get(triangle as usize).is_some() && {
+                let same = build::local(mesh, global).is_some_and(|triangle| {
                     let corners = build::seen_by_rays(mesh, triangle);
                     let here = |c: usize, x: usize| block.corners[c][x][lane].to_bits();
                     (0..3).all(|c| (0..3).all(|x| corners[c][x].to_bits() == here(c, x)))
-                        && mesh.global[triangle as usize] == block.global[lane]
                         && mesh.materials[triangle as usize] == block.material[lane]
-                };
+                });
                 if !same {
-                    return Err(format!("hierarchy block {i} is not as triangle {triangle}"));
+                    return Err(format!(
+                        "hierarchy block {i} is not as triangle {global} of the scene"
+                    ));
                 }
             }
         }
@@ -186,8 +182,8 @@ impl<'a> BvhView<'a> {
 
     /// Its global index; `None` where a block has none.
     fn global(&self, slot: u32) -> Option<u32> {
-        let (block, lane) = ((slot / 4) as usize, (slot % 4) as usize);
-        (self.references[block][lane] != NO_TRIANGLE).then(|| self.blocks[block].global[lane])
+        let global = self.blocks[(slot / 4) as usize].global[(slot % 4) as usize];
+        (global != NO_TRIANGLE).then_some(global)
     }
 
     /// Number of blocks.

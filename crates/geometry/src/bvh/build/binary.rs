@@ -5,9 +5,9 @@
 //! within bounds by a purse: every block more than a set needs is paid from what the set was given.
 
 use enf_layout::bvh::{DEPTH, LEAF_TRIANGLES};
-use glam::{Vec3, Vec4, Vec4Swizzles};
+use glam::{Vec3, Vec4};
 
-use super::{SPARING, blocks_most, blocks_needed};
+use super::{Bounds, SPARING, blocks_most, blocks_needed};
 use crate::mesh::TileMesh;
 
 /// Bins along each axis.
@@ -54,31 +54,6 @@ impl Item {
     }
 }
 
-/// A box that grows. Its fourth component is of no use.
-#[derive(Clone, Copy)]
-pub(super) struct Bounds {
-    pub(super) min: Vec4,
-    pub(super) max: Vec4,
-}
-
-impl Bounds {
-    pub(super) const EMPTY: Self = Self { min: Vec4::INFINITY, max: Vec4::NEG_INFINITY };
-
-    #[inline(always)]
-    fn add(&mut self, min: Vec4, max: Vec4) {
-        self.min = min.min(self.min);
-        self.max = max.max(self.max);
-    }
-
-    /// Half its surface, if it is a box.
-    #[inline(always)]
-    fn area(&self) -> f32 {
-        let d = self.max - self.min;
-        let faces = d * d.yzxw();
-        faces.x + faces.y + faces.z
-    }
-}
-
 /// A node of the binary tree.
 #[derive(Clone, Copy)]
 pub(super) struct Binary {
@@ -102,10 +77,10 @@ pub(super) struct Tree {
     pub(super) order: Vec<u32>,
 }
 
-/// Upper bound of the bytes that [`divide`] takes.
-pub(super) fn bytes(triangles: usize) -> usize {
-    let binary = 2 * blocks_most(triangles) * size_of::<Binary>();
-    triangles * (size_of::<Item>() + size_of::<u32>()) + binary + (1 << 14)
+/// Upper bound of the bytes that [`divide`] takes, and of those of its tree.
+pub(super) fn bytes(triangles: usize) -> [usize; 2] {
+    let tree = 2 * blocks_most(triangles) * size_of::<Binary>() + triangles * size_of::<u32>();
+    [triangles * size_of::<Item>() + tree, tree]
 }
 
 /// Sorts a mesh's triangles into a tree.

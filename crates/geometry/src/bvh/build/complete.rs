@@ -6,10 +6,10 @@ use enf_layout::bvh::{
     SECTIONS, WIDTH,
 };
 use enf_layout::sections::{self, Malformed};
-use glam::Vec3;
+use glam::{Mat4, Vec3, Vec4, Vec4Swizzles};
 use zerocopy::{FromBytes, IntoBytes, KnownLayout};
 
-use super::GROWN;
+use super::{Bounds, GROWN};
 use crate::mesh::TileMesh;
 use crate::ray::has_no_area;
 
@@ -18,24 +18,26 @@ use crate::ray::has_no_area;
 /// # Errors
 /// When the hierarchy is not one of this mesh.
 pub fn complete_bvh(blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malformed> {
-    let [header, nodes, blocks, references] = sections::split_mut::<SECTIONS>(blob)?;
+    let [header, nodes, blocks] = sections::split_mut::<SECTIONS>(blob)?;
     let [header] = typed::<BvhHeader>(header, "header")? else {
         return Err(Malformed("hierarchy has not one header".into()));
     };
     let nodes = typed::<BvhNode>(nodes, "nodes")?;
     let blocks = typed::<LeafBlock>(blocks, "blocks")?;
-    let references = typed::<[u32; LEAF_TRIANGLES]>(references, "references")?;
-    if blocks.len() != references.len() {
-        let (b, r) = (blocks.len(), references.len());
-        return Err(Malformed(format!("hierarchy has {b} blocks and references for {r}")));
-    }
     if nodes.is_empty() || nodes.len() >= 1 << 28 || blocks.len() >= 1 << 29 {
         let (n, b) = (nodes.len(), blocks.len());
         return Err(Malformed(format!("hierarchy has {n} nodes and {b} blocks")));
     }
-    let grown = GROWN * f64::from(header.delta);
-    let mut completing =
-        Completing { mesh, grown, nodes, blocks, references, next_node: 1, next_block: 0 };
+    let mut completing = Completing {
+        mesh,
+        grown: GROWN * f64::from(header.delta),
+        again: nodes[0].used != 0,
+        nodes,
+        blocks,
+        next_node: 1,
+        next_block: 0,
+        before: 0,
+    };
     completing.node(0, 1)?;
     let Completing { nodes, blocks, next_node, next_block, .. } = completing;
     if next_node != nodes.len() || next_block != blocks.len() {
@@ -56,31 +58,31 @@ where
         .map_err(|_| Malformed(format!("{what} of hierarchy have {length} bytes")))
 }
 
+/// The triangle of a mesh that has an index in the scene.
+pub(in super::super) fn local(mesh: &TileMesh<'_>, global: u32) -> Option<u32> {
+    // Most often, nothing is missing between the first and this one.
+    let guess = global.checked_sub(*mesh.global.first()?)? as usize;
+    if mesh.global.get(guess) == Some(&global) {
+        return Some(guess as u32);
+    }
+    mesh.global.binary_search(&global).ok().map(|i| i as u32)
+}
+
 /// The corners of a triangle; not a number if it has no area, as nothing hits that.
 pub(in super::super) fn seen_by_rays(mesh: &TileMesh<'_>, triangle: u32) -> [[f32; 3]; 3] {
     let corners = mesh.corner_arrays(triangle);
-    if has_no_area(&corners.map(|p| p.map(f64::from))) {
-        [[f32::NAN; 3]; 3]
-    } else {
-        corners.map(|p| *p)
-    }
+    if is_flat(corners) { [[f32::NAN; 3]; 3] } else { corners.map(|p| *p) }
 }
 
-/// A box, m.
-#[derive(Clone, Copy)]
-struct Bounds {
-    min: Vec3,
-    max: Vec3,
-}
-
-impl Bounds {
-    const EMPTY: Self = Self { min: Vec3::INFINITY, max: Vec3::NEG_INFINITY };
-
-    #[inline(always)]
-    fn add(&mut self, min: Vec3, max: Vec3) {
-        self.min = self.min.min(min);
-        self.max = self.max.max(max);
-    }
+/// [`has_no_area`], in a hurry.
+#[inline(always)]
+fn is_flat(corners: [&[f32; 3]; 3]) -> bool {
+    let [a, b, c] = corners.map(|p| Vec3::from_array(*p).extend(0.0));
+    let (e, f) = (b - a, c - a);
+    let (x, y) = (e.yzxw() * f.zxyw(), e.zxyw() * f.yzxw());
+    // Both products are known to a few units in the last of 24 digits; below the last term, digits get lost.
+    let doubt = (x.abs() + y.abs()) * (1.0 / (1 << 20) as f32) + Vec4::splat(1e-30);
+    !(x - y).abs().cmpgt(doubt).any() && has_no_area(&corners.map(|p| p.map(f64::from)))
 }
 
 struct Completing<'a, 'm> {
@@ -89,9 +91,12 @@ struct Completing<'a, 'm> {
     grown: f64,
     nodes: &'a mut [BvhNode],
     blocks: &'a mut [LeafBlock],
-    references: &'a mut [[u32; LEAF_TRIANGLES]],
+    /// Whether blocks are complete already, and hold the scene's indices.
+    again: bool,
     next_node: usize,
     next_block: usize,
+    /// The triangle in the lane before.
+    before: u32,
 }
 
 impl Completing<'_, '_> {
@@ -138,31 +143,45 @@ impl Completing<'_, '_> {
 
     /// Fills a block with its triangles; returns their box.
     fn block(&mut self, node: usize, at: usize, count: usize) -> Result<Bounds, Malformed> {
-        let (Some(block), Some(references)) =
-            (self.blocks.get_mut(at), self.references.get_mut(at))
-        else {
+        let Some(block) = self.blocks.get_mut(at) else {
             return Err(Malformed(format!("hierarchy node {node} has a block {at}")));
         };
         let mut bounds = Bounds::EMPTY;
-        for (lane, reference) in references.iter_mut().enumerate() {
+        // Corner, lane.
+        let mut seen = [[Vec4::ZERO; LEAF_TRIANGLES]; 3];
+        for lane in 0..LEAF_TRIANGLES {
             if lane >= count {
-                *reference = NO_TRIANGLE;
+                block.global[lane] = NO_TRIANGLE;
+                block.material[lane] = 0;
                 continue;
             }
-            let triangle = *reference;
+            let stored = block.global[lane];
+            let triangle = if self.again {
+                local(self.mesh, stored).unwrap_or(NO_TRIANGLE)
+            } else {
+                self.before.wrapping_add((stored >> 1) ^ (stored & 1).wrapping_neg())
+            };
+            self.before = triangle;
             if triangle >= self.mesh.len() {
                 let n = self.mesh.len();
-                return Err(Malformed(format!("hierarchy lists triangle {triangle} of {n}")));
+                return Err(Malformed(format!(
+                    "hierarchy block {at} has triangle {triangle} of {n}"
+                )));
             }
-            let [a, b, c] = self.mesh.corners(triangle);
+            let corners = self.mesh.corner_arrays(triangle);
+            let [a, b, c] = corners.map(|p| Vec3::from_array(*p).extend(0.0));
             bounds.add(a.min(b).min(c), a.max(b).max(c));
-            for (corner, p) in seen_by_rays(self.mesh, triangle).into_iter().enumerate() {
-                for (axis, x) in p.into_iter().enumerate() {
-                    block.corners[corner][axis][lane] = x;
-                }
+            let flat = is_flat(corners);
+            for (seen, p) in seen.iter_mut().zip([a, b, c]) {
+                seen[lane] = if flat { Vec4::NAN } else { p };
             }
             block.global[lane] = self.mesh.global[triangle as usize];
             block.material[lane] = self.mesh.materials[triangle as usize];
+        }
+        for (corner, [a, b, c, d]) in block.corners.iter_mut().zip(seen) {
+            let by_axis = Mat4::from_cols(a, b, c, d).transpose().to_cols_array_2d();
+            let [x, y, z, _] = by_axis;
+            *corner = [x, y, z];
         }
         Ok(bounds)
     }
@@ -176,19 +195,20 @@ fn frame(node: &mut BvhNode, boxes: &[Bounds; WIDTH], grown: f64) -> Bounds {
         whole.add(b.min, b.max);
     }
     let frame =
-        if whole.min.x > whole.max.x { Bounds { min: Vec3::ZERO, max: Vec3::ZERO } } else { whole };
+        if whole.min.x > whole.max.x { Bounds { min: Vec4::ZERO, max: Vec4::ZERO } } else { whole };
+    let (lowest, highest) = (frame.min.to_array(), frame.max.to_array());
+    let ends = boxes.map(|b| (b.min.to_array(), b.max.to_array()));
     for axis in 0..3 {
-        let (low, high) = (f64::from(frame.min[axis]) - grown, f64::from(frame.max[axis]) + grown);
+        let (low, high) = (f64::from(lowest[axis]) - grown, f64::from(highest[axis]) + grown);
         let origin = (low as f32).next_down().clamp(f32::MIN, f32::MAX);
         let exponent = exponent((high - f64::from(origin)) / 255.0);
-        let per_metre = 1.0 / step(exponent);
         node.origin[axis] = origin;
         node.step[axis] = step(exponent) as f32;
-        let origin = f64::from(origin);
+        let (per_metre, origin) = (1.0 / step(exponent), f64::from(origin));
         let (lower, upper) = node.bounds[axis].split_at_mut(WIDTH);
-        for ((b, lower), upper) in boxes.iter().zip(lower).zip(upper) {
-            let from = (f64::from(b.min[axis]) - grown - origin) * per_metre;
-            let to = (f64::from(b.max[axis]) + grown - origin) * per_metre;
+        for (((min, max), lower), upper) in ends.iter().zip(lower).zip(upper) {
+            let from = (f64::from(min[axis]) - grown - origin) * per_metre;
+            let to = (f64::from(max[axis]) + grown - origin) * per_metre;
             // Saturating casts, which cut off what is behind the point.
             *lower = from as u8;
             let cut = to as u8;

@@ -8,12 +8,16 @@ mod binary;
 mod complete;
 mod wide;
 
-use enf_layout::bvh::{BvhHeader, BvhNode, LEAF_TRIANGLES, LeafBlock, WIDTH};
+use enf_layout::bvh::{
+    BvhHeader, BvhNode, LEAF_TRIANGLES, LeafBlock, SECTION_BLOCKS, SECTION_HEADER, SECTION_NODES,
+    SECTIONS, WIDTH,
+};
 use enf_layout::sections::{self, Transform};
+use glam::{Vec4, Vec4Swizzles};
 use zerocopy::IntoBytes;
 
 pub use complete::complete_bvh;
-pub(super) use complete::seen_by_rays;
+pub(super) use complete::{local, seen_by_rays};
 
 use crate::mesh::TileMesh;
 
@@ -21,6 +25,31 @@ use crate::mesh::TileMesh;
 const GROWN: f64 = 4.0;
 /// Of so many triangles, one block more than necessary may come.
 const SPARING: usize = 32;
+
+/// A box that grows, m. Its fourth component is of no use.
+#[derive(Clone, Copy)]
+struct Bounds {
+    min: Vec4,
+    max: Vec4,
+}
+
+impl Bounds {
+    const EMPTY: Self = Self { min: Vec4::INFINITY, max: Vec4::NEG_INFINITY };
+
+    #[inline(always)]
+    fn add(&mut self, min: Vec4, max: Vec4) {
+        self.min = min.min(self.min);
+        self.max = max.max(self.max);
+    }
+
+    /// Half its surface, if it is a box.
+    #[inline(always)]
+    fn area(&self) -> f32 {
+        let d = self.max - self.min;
+        let faces = d * d.yzxw();
+        faces.x + faces.y + faces.z
+    }
+}
 
 /// Blocks that so many triangles need.
 fn blocks_needed(triangles: usize) -> usize {
@@ -40,13 +69,8 @@ fn nodes_most(blocks: usize) -> usize {
     blocks * 4 / 7 + 1
 }
 
-fn sizes(nodes: usize, blocks: usize) -> [usize; 4] {
-    [
-        size_of::<BvhHeader>(),
-        nodes * size_of::<BvhNode>(),
-        blocks * size_of::<LeafBlock>(),
-        blocks * size_of::<[u32; LEAF_TRIANGLES]>(),
-    ]
+fn sizes(nodes: usize, blocks: usize) -> [usize; SECTIONS] {
+    [size_of::<BvhHeader>(), nodes * size_of::<BvhNode>(), blocks * size_of::<LeafBlock>()]
 }
 
 /// Upper bound of the bytes of the blob for a mesh of so many triangles.
@@ -57,10 +81,11 @@ pub fn bvh_bytes_estimate(triangles: u64) -> u64 {
 
 /// Upper bound of the bytes that [`build_bvh`] takes, blob included.
 pub fn bvh_build_bytes(triangles: u64) -> u64 {
-    let blocks = blocks_most(triangles as usize);
-    let dividing = binary::bytes(triangles as usize);
-    let widening = wide::bytes(triangles as usize, blocks);
-    (dividing + widening) as u64 + bvh_bytes_estimate(triangles)
+    let [dividing, tree] = binary::bytes(triangles as usize);
+    let [widening, wide] = wide::bytes(blocks_most(triangles as usize));
+    let writing = wide as u64 + bvh_bytes_estimate(triangles);
+    // And what is on the program's own stack.
+    writing.max(dividing.max(tree + widening) as u64) + (64 << 10)
 }
 
 /// Builds the hierarchy of a mesh for tolerance `delta` (m). The blob depends on the arguments alone, and is complete
@@ -85,22 +110,34 @@ pub fn build_bvh(mesh: &TileMesh, delta: f32) -> Vec<u8> {
 
     let lengths = sizes(shape.len(), references.len());
     let mut blob = vec![0; sections::blob_bytes(&lengths)];
-    let [head, nodes, blocks, lanes] = lengths;
+    let words = |record: usize| (record / 4) as u32;
     let places = sections::write_table(
         &mut blob,
         &[
-            (head, Transform::None, 0),
-            (nodes, Transform::Planes, (size_of::<BvhNode>() / 4) as u32),
-            (blocks, Transform::None, 0),
-            (lanes, Transform::Delta, 1),
+            (lengths[SECTION_HEADER], Transform::None, 0),
+            (lengths[SECTION_NODES], Transform::Planes, words(size_of::<BvhNode>())),
+            (lengths[SECTION_BLOCKS], Transform::Planes, words(size_of::<LeafBlock>())),
         ],
     );
-    blob[places[0].clone()].copy_from_slice(header.as_bytes());
+    blob[places[SECTION_HEADER].clone()].copy_from_slice(header.as_bytes());
     let child = std::mem::offset_of!(BvhNode, child);
-    let nodes = blob[places[1].clone()].chunks_exact_mut(size_of::<BvhNode>());
+    let nodes = blob[places[SECTION_NODES].clone()].chunks_exact_mut(size_of::<BvhNode>());
     for (node, shape) in nodes.zip(&shape) {
         node[child..child + WIDTH].copy_from_slice(shape);
     }
-    blob[places[3].clone()].copy_from_slice(references.as_bytes());
+    let global = std::mem::offset_of!(LeafBlock, global);
+    let blocks = blob[places[SECTION_BLOCKS].clone()].chunks_exact_mut(size_of::<LeafBlock>());
+    let mut before = 0;
+    for (block, references) in blocks.zip(&references) {
+        let lanes = references.map(|triangle| {
+            let d = triangle.wrapping_sub(before) as i32;
+            before = triangle;
+            ((d << 1) ^ (d >> 31)) as u32
+        });
+        block[global..global + size_of_val(&lanes)].copy_from_slice(lanes.as_bytes());
+    }
     blob
 }
+
+#[cfg(test)]
+mod tests;

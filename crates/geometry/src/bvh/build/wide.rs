@@ -6,7 +6,7 @@ use enf_layout::bvh::{CHILD_INNER, CHILD_NONE, LEAF_TRIANGLES, WIDTH};
 use glam::Vec3;
 
 use super::binary::{Binary, Tree};
-use super::{blocks_needed, nodes_most};
+use super::nodes_most;
 
 /// Cost of opening a node, in blocks that are tested.
 const NODE_COST: f32 = 1.0;
@@ -18,13 +18,12 @@ pub(super) type Shape = [u8; WIDTH];
 /// The least cost of a subtree under a node that has one, two, ... seven places for it.
 type Costs = [f32; WIDTH - 1];
 
-/// Upper bound of the bytes that [`collapse`] takes.
-pub(super) fn bytes(triangles: usize, blocks: usize) -> usize {
-    let _ = triangles;
-    2 * blocks * size_of::<Costs>()
-        + nodes_most(blocks) * size_of::<Shape>()
-        + blocks * size_of::<[u32; LEAF_TRIANGLES]>()
-        + (1 << 14)
+/// Upper bound of the bytes that [`collapse`] takes for so many blocks, and of those that its answer keeps.
+pub(super) fn bytes(blocks: usize) -> [usize; 2] {
+    // Should it have to be done again: both answers.
+    let answer =
+        nodes_most(blocks) * size_of::<Shape>() + blocks * size_of::<[u32; LEAF_TRIANGLES]>();
+    [2 * blocks * size_of::<Costs>() + 2 * answer, answer]
 }
 
 /// The nodes of the wide tree, and the triangles of its blocks; lanes that hold nothing repeat the one before.
@@ -33,24 +32,31 @@ pub(super) fn bytes(triangles: usize, blocks: usize) -> usize {
 /// it is visited; its inner children are visited in this order, each with all that is below it, before what comes after it.
 pub(super) fn collapse(tree: &Tree) -> (Vec<Shape>, Vec<[u32; LEAF_TRIANGLES]>) {
     let blocks = tree.nodes.iter().filter(|b| b.count > 0).count();
-    debug_assert!(blocks >= blocks_needed(tree.order.len()));
-    let costs = costs(&tree.nodes);
-    let make = |costs: &[Costs]| {
-        let mut wide = Wide {
-            tree,
-            costs,
-            shapes: Vec::with_capacity(nodes_most(blocks)),
-            references: Vec::with_capacity(blocks),
-        };
-        wide.shapes.push([CHILD_NONE; WIDTH]);
-        if !tree.nodes.is_empty() {
-            wide.visit(0, 0);
-        }
-        (wide.shapes, wide.references)
+    let cheapest = collapse_by(tree, &costs(&tree.nodes), blocks);
+    if cheapest.0.len() <= nodes_most(blocks) {
+        return cheapest;
+    }
+    // Not seen yet, but a promise is a promise.
+    collapse_by(tree, &[], blocks)
+}
+
+/// The same; without costs, the child with the largest surface is opened, always.
+pub(super) fn collapse_by(
+    tree: &Tree,
+    costs: &[Costs],
+    blocks: usize,
+) -> (Vec<Shape>, Vec<[u32; LEAF_TRIANGLES]>) {
+    let mut wide = Wide {
+        tree,
+        costs,
+        shapes: Vec::with_capacity(nodes_most(blocks)),
+        references: Vec::with_capacity(blocks),
     };
-    let cheapest = make(&costs);
-    // Never seen, but a promise is a promise.
-    if cheapest.0.len() <= nodes_most(blocks) { cheapest } else { make(&[]) }
+    wide.shapes.push([CHILD_NONE; WIDTH]);
+    if !tree.nodes.is_empty() {
+        wide.visit(0, 0);
+    }
+    (wide.shapes, wide.references)
 }
 
 fn costs(nodes: &[Binary]) -> Vec<Costs> {
