@@ -271,7 +271,7 @@ fn rays_without_numbers_or_direction_hit_nothing() {
 fn a_batch_may_have_any_length() {
     let blobs = Blobs::new(&panes(9), delta(9.0));
     let tile = blobs.tile();
-    for n in (0..70).chain([1000]) {
+    for n in (0..70).chain([1000, 2047, 2048, 2049, 5000]) {
         let queries: Vec<Query> = (0..n)
             .map(|i| Query { t_min: (i % 11) as f32 + 0.5, ..common::anything(ALONG) })
             .collect();
