@@ -227,7 +227,7 @@ fn heavy_ten_million_queries_give_the_same_bits() {
             let count = scene.agree(&scene.blobs.tile(), 1 << 32 | job as u64, EACH, *force);
             sum.queries += count.queries;
             sum.hits += count.hits;
-            if job % 50 == 0 {
+            if job.is_multiple_of(50) {
                 eprintln!("{job} of {jobs} jobs");
             }
         }
