@@ -271,7 +271,7 @@ fn rays_without_numbers_or_direction_hit_nothing() {
 fn a_batch_may_have_any_length() {
     let blobs = Blobs::new(&panes(9), delta(9.0));
     let tile = blobs.tile();
-    for n in (0..70).chain([1000]) {
+    for n in (0..70).chain([1000, 2047, 2048, 2049, 5000]) {
         let queries: Vec<Query> = (0..n)
             .map(|i| Query { t_min: (i % 11) as f32 + 0.5, ..common::anything(ALONG) })
             .collect();
@@ -279,5 +279,18 @@ fn a_batch_may_have_any_length() {
         let expected: Vec<Option<f32>> =
             (0..n).map(|i| Some((i % 11) as f32 + 1.0).filter(|&t| t < 9.5)).collect();
         assert_eq!(t, expected);
+    }
+    // As many as there are of both.
+    let queries = [common::anything(ALONG); 10];
+    let hit = tile.by_force(&queries[0]);
+    for n in [0, 4, 10, 12] {
+        for kind in common::KINDS {
+            let (mut hits, mut shadows) = (vec![None; n], vec![false; n]);
+            tile.structure(kind).nearest_batch(&queries, &mut hits);
+            tile.structure(kind).occluded_batch(&queries, &mut shadows);
+            for i in 0..n {
+                assert_eq!((hits[i], shadows[i]), if i < 10 { (hit, true) } else { (None, false) });
+            }
+        }
     }
 }

@@ -8,14 +8,14 @@ use enf_geometry::{
     grid_bytes_estimate, nearest_by_force, structure_bytes_estimate,
 };
 use enf_layout::bvh::{
-    BvhHeader, BvhNode, CHILD_INNER, DEPTH, LEAF_TRIANGLES, LeafBlock, NO_TRIANGLE, SECTION_NODES,
-    SECTIONS, WIDTH,
+    BvhHeader, BvhNode, CHILD_INNER, DEPTH, LEAF_TRIANGLES, LeafBlock, SECTION_NODES, SECTIONS,
+    WIDTH,
 };
 use enf_layout::codec;
 use enf_layout::sections::{self, Transform};
 use glam::Vec3;
 use proptest::prelude::*;
-use zerocopy::IntoBytes;
+use zerocopy::{FromZeros, IntoBytes};
 
 fn compare(
     triangles: &[Corners],
@@ -374,8 +374,14 @@ fn a_hierarchy_as_deep_as_may_be() {
     let tolerance = delta(4.0);
     let header =
         BvhHeader { min: [-3.5; 3], max: [3.5; 3], delta: tolerance, triangles: mesh.len() };
-    let references: Vec<[u32; LEAF_TRIANGLES]> =
-        (0..count as u32).map(|i| [i, NO_TRIANGLE, NO_TRIANGLE, NO_TRIANGLE]).collect();
+    // One triangle to each block, the next one: a difference of one, in zigzag.
+    let blocks: Vec<LeafBlock> = (0..count)
+        .map(|i| LeafBlock {
+            corners: [[[0.0; LEAF_TRIANGLES]; 3]; 3],
+            global: [if i == 0 { 0 } else { 2 }, 0, 0, 0],
+            material: [0; LEAF_TRIANGLES],
+        })
+        .collect();
     let rays: Vec<Ray> = (0..300)
         .map(|_| {
             let origin = 3.0 * random.cube();
@@ -402,11 +408,14 @@ fn a_hierarchy_as_deep_as_may_be() {
                 node
             })
             .collect();
+        let stored: Vec<BvhNode> = nodes
+            .iter()
+            .map(|node| BvhNode { child: node.child.map(|c| c & !7), ..BvhNode::new_zeroed() })
+            .collect();
         let mut blob = sections::build(&[
             (header.as_bytes(), Transform::None, 1),
-            (nodes.as_bytes(), Transform::None, 1),
-            (&vec![0; references.len() * size_of::<LeafBlock>()], Transform::None, 1),
-            (references.as_bytes(), Transform::None, 1),
+            (stored.as_bytes(), Transform::None, 1),
+            (blocks.as_bytes(), Transform::None, 1),
         ]);
         StructureKind::Bvh.complete(&mut blob, &mesh).unwrap();
         if wide {
@@ -430,6 +439,28 @@ fn a_hierarchy_as_deep_as_may_be() {
                 assert_eq!(shadows[i], truth.is_some(), "batch, {}", say());
             }
         }
+    }
+}
+
+/// A structure answers for any tolerance up to its own, also where that is too small for its coordinates.
+#[test]
+fn a_structure_answers_for_smaller_tolerances() {
+    let mut random = Random(26);
+    let triangles = common::zoo(&mut random, 150, 4.0);
+    let blobs = Blobs::new(&triangles, delta(4.0));
+    for part in [1.0, 0.9, 0.5, 0.25, 1e-3, 1e-9, 0.0] {
+        let tile = blobs.tile_for(part * blobs.delta);
+        let (mut queries, mut truths) = (Vec::new(), Vec::new());
+        for _ in 0..1000 {
+            let query = anything(common::ray(&mut random, &triangles, 4.0));
+            let truth = tile.by_force(&query);
+            tile.check(&query, truth);
+            queries.push(query);
+            truths.push(truth);
+        }
+        tile.check_batch(&queries, &truths);
+        // No f32 is near enough where the tolerance is less than its rounding.
+        assert!(truths.iter().flatten().count() > 300 || part < 0.2);
     }
 }
 

@@ -43,13 +43,18 @@ impl Blobs {
     }
 
     pub fn tile(&self) -> Tile<'_> {
+        self.tile_for(self.delta)
+    }
+
+    /// For a tolerance not above that of the structures, m.
+    pub fn tile_for(&self, delta: f32) -> Tile<'_> {
         let mesh = TileMesh::from_blob(&self.mesh).unwrap();
         let [grid, bvh] = &self.structures;
         Tile {
             mesh,
-            delta: self.delta,
-            grid: GridView::from_blob(grid, mesh, self.delta).unwrap(),
-            bvh: BvhView::from_blob(bvh, &mesh, self.delta).unwrap(),
+            delta,
+            grid: GridView::from_blob(grid, mesh, delta).unwrap(),
+            bvh: BvhView::from_blob(bvh, &mesh, delta).unwrap(),
         }
     }
 }
