@@ -236,10 +236,10 @@ impl Level for Portable {
         let mut last = None;
         for i in (0..WIDTH).rev() {
             let slot = i ^ ray.signs;
-            if mask >> slot & 1 != 0 {
-                if let Some(last) = last.replace(slot) {
-                    stack.push([enter[last]; WIDTH], [entry(node, last); WIDTH], 1);
-                }
+            if mask >> slot & 1 != 0
+                && let Some(last) = last.replace(slot)
+            {
+                stack.push([enter[last]; WIDTH], [entry(node, last); WIDTH], 1);
             }
         }
         last.map_or(NOTHING, |first| entry(node, first))

@@ -55,7 +55,7 @@ impl<'a> BvhView<'a> {
         let [header] = headers else {
             return Err(Malformed(format!("hierarchy has {} headers", headers.len())));
         };
-        if !(delta <= header.delta) {
+        if delta > header.delta || delta.is_nan() {
             let built = header.delta;
             return Err(Malformed(format!("hierarchy is for tolerance {built}, not {delta}")));
         }
@@ -143,15 +143,18 @@ impl<'a> BvhView<'a> {
                 }
             }
         }
+        let mut seen = vec![false; triangle_count as usize];
         for (i, block) in self.blocks.iter().enumerate() {
             for (lane, &global) in block.global.iter().enumerate() {
                 if global == NO_TRIANGLE {
                     continue;
                 }
                 let same = build::local(mesh, global).is_some_and(|triangle| {
+                    let again = std::mem::replace(&mut seen[triangle as usize], true);
                     let corners = build::seen_by_rays(mesh, triangle);
                     let here = |c: usize, x: usize| block.corners[c][x][lane].to_bits();
-                    (0..3).all(|c| (0..3).all(|x| corners[c][x].to_bits() == here(c, x)))
+                    !again
+                        && (0..3).all(|c| (0..3).all(|x| corners[c][x].to_bits() == here(c, x)))
                         && mesh.materials[triangle as usize] == block.material[lane]
                 });
                 if !same {

@@ -58,7 +58,7 @@ impl<'a> GridView<'a> {
         let [header] = headers else {
             return Err(Malformed(format!("grid has {} headers", headers.len())));
         };
-        if !(delta <= header.delta) {
+        if delta > header.delta || delta.is_nan() {
             let built = header.delta;
             return Err(Malformed(format!("grid is for tolerance {built}, not {delta}")));
         }

@@ -13,7 +13,8 @@ use super::{Bounds, GROWN};
 use crate::mesh::TileMesh;
 use crate::ray::has_no_area;
 
-/// Fills in what a stored hierarchy leaves to its mesh: once, after building or loading. It takes no memory.
+/// Fills in what a stored hierarchy leaves to its mesh: once, after building or loading. It takes no memory. Every index is checked or
+/// made anew on the way, so that [`super::BvhView::from_checked_blob`] may follow.
 ///
 /// # Errors
 /// When the hierarchy is not one of this mesh.
@@ -22,6 +23,10 @@ pub fn complete_bvh(blob: &mut [u8], mesh: &TileMesh<'_>) -> Result<(), Malforme
     let [header] = typed::<BvhHeader>(header, "header")? else {
         return Err(Malformed("hierarchy has not one header".into()));
     };
+    if header.triangles != mesh.len() {
+        let (h, m) = (header.triangles, mesh.len());
+        return Err(Malformed(format!("hierarchy is for {h} triangles, not {m}")));
+    }
     let nodes = typed::<BvhNode>(nodes, "nodes")?;
     let blocks = typed::<LeafBlock>(blocks, "blocks")?;
     if nodes.is_empty() || nodes.len() >= 1 << 28 || blocks.len() >= 1 << 29 {

@@ -277,5 +277,5 @@ fn walls_are_set_apart() {
             at_depth_three.extend(below(&view, &mesh, grandchild, 1e-5, 3));
         }
     }
-    assert!(at_depth_three.len() > 3000 && !at_depth_three.iter().any(|t| is_wall(t)));
+    assert!(at_depth_three.len() > 3000 && !at_depth_three.iter().any(is_wall));
 }
