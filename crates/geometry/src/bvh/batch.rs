@@ -20,8 +20,12 @@ use crate::ray::Hit;
 const FLIGHT: usize = 32;
 /// Entries that each of them has room for; the few that need more go alone.
 const ENTRIES: usize = 120;
-/// From so many rays on, they are sorted first.
+/// Rays are taken in chunks of so many, which leave room in the caches.
+const CHUNK: usize = 8192;
+/// From so many rays on, they are sorted first, if the hierarchy is one that the caches do not hold.
 const SORTED_FROM: usize = 2048;
+/// Bytes of such a hierarchy. Measured: at 3 MB sorting costs what it saves, at 23 MB it saves a quarter of the time.
+const SORTED_ABOVE: usize = 4 << 20;
 /// Cells along each axis for that.
 const CELLS: usize = 8;
 const MASK: usize = FLIGHT - 1;
@@ -252,28 +256,31 @@ impl BvhView<'_> {
         // As many as there are of both.
         let n = queries.len().min(answers.len());
         let (queries, answers) = (&queries[..n], &mut answers[..n]);
-        let order = self.order(queries);
-        let order = &order[..];
-        match instructions.token() {
-            #[cfg(target_arch = "x86_64")]
-            Token::Avx512(level) => {
-                level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, order, answers });
-            }
-            #[cfg(target_arch = "x86_64")]
-            Token::Avx2(level) => {
-                level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, order, answers });
-            }
-            Token::Portable(level) => {
-                Flights::<_, A, ANY> { level, bvh, queries, order, answers }.call();
+        for (queries, answers) in queries.chunks(CHUNK).zip(answers.chunks_mut(CHUNK)) {
+            let order = self.order(queries);
+            let order = &order[..];
+            match instructions.token() {
+                #[cfg(target_arch = "x86_64")]
+                Token::Avx512(level) => {
+                    level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, order, answers });
+                }
+                #[cfg(target_arch = "x86_64")]
+                Token::Avx2(level) => {
+                    level.vectorize(Flights::<_, A, ANY> { level, bvh, queries, order, answers });
+                }
+                Token::Portable(level) => {
+                    Flights::<_, A, ANY> { level, bvh, queries, order, answers }.call();
+                }
             }
         }
     }
 
     /// An order in which rays that begin near each other in like directions follow each other: their nodes are
     /// still in the caches then. A counting sort by cell of the origin and signs of the direction, which costs next to
-    /// nothing; empty for few rays, where it would not pay.
+    /// nothing; empty where it would not pay.
     fn order(&self, queries: &[Query]) -> Vec<u32> {
-        if queries.len() < SORTED_FROM {
+        let bytes = size_of_val(self.nodes) + size_of_val(self.blocks);
+        if queries.len() < SORTED_FROM || bytes < SORTED_ABOVE {
             return Vec::new();
         }
         let (low, high) = (Vec3::from(self.header.min), Vec3::from(self.header.max));
