@@ -374,8 +374,16 @@ fn a_hierarchy_as_deep_as_may_be() {
     let tolerance = delta(4.0);
     let header =
         BvhHeader { min: [-3.5; 3], max: [3.5; 3], delta: tolerance, triangles: mesh.len() };
-    let references: Vec<[u32; LEAF_TRIANGLES]> =
-        (0..count as u32).map(|i| [i, NO_TRIANGLE, NO_TRIANGLE, NO_TRIANGLE]).collect();
+    // As in a hierarchy that was complete before: by the scene's indices.
+    let blocks: Vec<LeafBlock> = mesh
+        .global
+        .iter()
+        .map(|&global| LeafBlock {
+            corners: [[[0.0; LEAF_TRIANGLES]; 3]; 3],
+            global: [global, NO_TRIANGLE, NO_TRIANGLE, NO_TRIANGLE],
+            material: [0; LEAF_TRIANGLES],
+        })
+        .collect();
     let rays: Vec<Ray> = (0..300)
         .map(|_| {
             let origin = 3.0 * random.cube();
@@ -405,8 +413,7 @@ fn a_hierarchy_as_deep_as_may_be() {
         let mut blob = sections::build(&[
             (header.as_bytes(), Transform::None, 1),
             (nodes.as_bytes(), Transform::None, 1),
-            (&vec![0; references.len() * size_of::<LeafBlock>()], Transform::None, 1),
-            (references.as_bytes(), Transform::None, 1),
+            (blocks.as_bytes(), Transform::None, 1),
         ]);
         StructureKind::Bvh.complete(&mut blob, &mesh).unwrap();
         if wide {
