@@ -89,13 +89,12 @@ pub fn inverse(blob: &mut [u8], scratch: &mut [u8]) -> Result<(), Malformed> {
         if matches!(way, Way::Leave) {
             continue;
         }
-        let planes = scratch
-            .get_mut(..scratch_of(&way, section))
-            .ok_or_else(|| Malformed("transform scratch is too small".into()))?;
+        let too_small = || Malformed("transform scratch is too small".into());
         if let Way::Records { bytes } = way {
-            from_records(planes, section, bytes);
+            from_records(scratch, section, bytes).ok_or_else(too_small)?;
             continue;
         }
+        let planes = scratch.get_mut(..section.len()).ok_or_else(too_small)?;
         planes.copy_from_slice(section);
         match way {
             Way::Leave | Way::Records { .. } => {}
@@ -161,12 +160,12 @@ fn planes_of(section: &[u8], bytes: usize) -> impl Iterator<Item = (usize, &[u8]
     section.chunks_exact(n).enumerate().filter(move |(_, plane)| any(plane))
 }
 
-/// Records from their planes; `scratch` holds those that are not zero.
-fn from_records(scratch: &mut [u8], section: &mut [u8], bytes: usize) {
+/// Records from their planes; `None` where scratch has no place for those that are not zero.
+fn from_records(scratch: &mut [u8], section: &mut [u8], bytes: usize) -> Option<()> {
     let n = (section.len() / bytes).max(1);
-    let mut places = Vec::with_capacity(scratch.len() / n);
-    for ((place, plane), kept) in planes_of(section, bytes).zip(scratch.chunks_exact_mut(n)) {
-        kept.copy_from_slice(plane);
+    let mut places = Vec::new();
+    for (place, plane) in planes_of(section, bytes) {
+        scratch.get_mut(places.len() * n..)?.get_mut(..n)?.copy_from_slice(plane);
         places.push(place);
     }
     // A few records at a time, which stay in the cache until they are done.
@@ -179,6 +178,7 @@ fn from_records(scratch: &mut [u8], section: &mut [u8], bytes: usize) {
             }
         }
     }
+    Some(())
 }
 
 /// Records whose planes are put together at a time.
