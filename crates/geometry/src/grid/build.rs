@@ -36,7 +36,7 @@ pub fn grid_build_bytes(triangles: u64) -> u64 {
 /// mesh and `delta` (m) alone.
 pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     // With a tolerance near the largest number no cell would be wide enough.
-    let delta = if delta <= 1e30 { delta.max(0.0) } else { 0.0 };
+    let delta = if delta <= 1e36 { delta.max(0.0) } else { 0.0 };
     let limit = grid_bytes_estimate(mesh.triangles.len() as u64);
     let plan = Plan::new(mesh, delta);
     let mut cell = plan.best_cell(limit);
