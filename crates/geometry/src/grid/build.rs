@@ -4,7 +4,7 @@ use enf_layout::sections::{self, Transform};
 use glam::DVec3;
 use zerocopy::{FromBytes, IntoBytes};
 
-use super::{BRICK, BrickRecord, GridHeader, MAX_BRICKS};
+use super::{BRICK, BrickRecord, GridHeader, LARGEST, MAX_BRICKS};
 use crate::mesh::TileMesh;
 
 /// Bytes that a grid may take for its table and header and a few bricks.
@@ -35,10 +35,11 @@ pub fn grid_build_bytes(triangles: u64) -> u64 {
 /// Builds the grid of a mesh: a [`sections`] blob for [`super::GridView`]. The bytes depend on the
 /// mesh and `delta` (m) alone.
 pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
-    // With a tolerance near the largest number no cell would be wide enough.
-    let delta = if delta <= 1e36 { delta.max(0.0) } else { 0.0 };
+    let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
     let limit = grid_bytes_estimate(mesh.triangles.len() as u64);
-    let plan = Plan::new(mesh, delta);
+    // With a tolerance near the largest number no cell would be wide enough: see `walk`.
+    let mut plan = Plan::new(mesh, if delta <= LARGEST { delta } else { 0.0 });
+    plan.tolerance = delta;
     let mut cell = plan.best_cell(limit);
     loop {
         let lattice = plan.lattice(cell);
@@ -52,6 +53,8 @@ pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
 
 /// What the mesh looks like from far away.
 struct Plan {
+    /// The tolerance that the grid will be for, m, and the one that cells are moved out for.
+    tolerance: f32,
     delta: f32,
     min: [f32; 3],
     max: [f32; 3],
@@ -87,7 +90,16 @@ impl Plan {
             edges += (a.max(b).max(c) - a.min(b).min(c)).element_sum();
             areas += 0.5 * (b - a).cross(c - a).abs().element_sum();
         }
-        Self { delta, min, max, extent, triangles: mesh.len().into(), edges, areas }
+        Self {
+            tolerance: delta,
+            delta,
+            min,
+            max,
+            extent,
+            triangles: mesh.len().into(),
+            edges,
+            areas,
+        }
     }
 
     /// The smallest lattice of such cells that covers the box.
@@ -185,7 +197,7 @@ fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<V
         min: plan.min,
         max: plan.max,
         cell,
-        delta: plan.delta,
+        delta: plan.tolerance,
         bricks: [nx, ny, nz],
         triangles: mesh.len(),
         cells,

@@ -25,6 +25,8 @@ use glam::Vec3;
 use crate::aabb::Aabb;
 use crate::mesh::TileMesh;
 
+/// The largest tolerance that cells can be built for, m.
+pub(crate) const LARGEST: f32 = 1e36;
 /// Most bricks of one grid.
 pub(crate) const MAX_BRICKS: u64 = 1 << 24;
 

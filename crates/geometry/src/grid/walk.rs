@@ -1,6 +1,6 @@
 //! Walking a ray through the bricks and cells (Amanatides and Woo 1987).
 
-use super::{BRICK, GridView};
+use super::{BRICK, GridView, LARGEST};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
@@ -37,7 +37,7 @@ impl GridView<'_> {
         let far = FAR * f64::from(header.delta);
         let origin = search.ray.origin.map(f64::from);
         let direction = search.ray.direction.map(f64::from);
-        if origin.iter().any(|x| x.abs() > far) {
+        if origin.iter().any(|x| x.abs() > far) || header.delta > LARGEST {
             return search.by_force(&self.mesh);
         }
 
