@@ -193,10 +193,51 @@ const QUALITY_HIGH: c_int = 2;
 const FLAG_COMPACT: c_int = 2;
 const FLAG_ROBUST: c_int = 4;
 
-type One3<R> = unsafe extern "C" fn(Raw, *mut Context, *mut R);
-type One4<R> = unsafe extern "C" fn(Raw, *mut R, Raw);
-type Many3<P> = unsafe extern "C" fn(*const c_int, Raw, *mut Context, *mut P);
-type Many4<P> = unsafe extern "C" fn(*const c_int, Raw, *mut P, Raw);
+/// A query of one ray, as each version declares it.
+#[derive(Clone, Copy)]
+enum One<R> {
+    Three(unsafe extern "C" fn(Raw, *mut Context, *mut R)),
+    Four(unsafe extern "C" fn(Raw, *mut R, Raw)),
+}
+
+impl<R> One<R> {
+    /// # Safety
+    /// The scene is committed; the record is one of the version's, aligned, and as large as it wants.
+    #[inline]
+    unsafe fn ask(self, scene: Raw, record: &mut R) {
+        // SAFETY: the caller's promise.
+        unsafe {
+            match self {
+                Self::Three(ask) => ask(scene, &mut Context::new(), record),
+                Self::Four(ask) => ask(scene, record, ptr::null_mut()),
+            }
+        }
+    }
+}
+
+/// A query of `N` rays.
+#[derive(Clone, Copy)]
+enum Many<const N: usize> {
+    Three(unsafe extern "C" fn(*const c_int, Raw, *mut Context, *mut Packet<N>)),
+    Four(unsafe extern "C" fn(*const c_int, Raw, *mut Packet<N>, Raw)),
+}
+
+impl<const N: usize> Many<N> {
+    /// # Safety
+    /// The scene is committed.
+    #[inline]
+    unsafe fn ask(self, valid: &Valid<N>, scene: Raw, packet: &mut Packet<N>) {
+        let valid = valid.0.as_ptr();
+        // SAFETY: the caller's promise; packet and mask are aligned and at least as large as the version wants.
+        unsafe {
+            match self {
+                Self::Three(ask) => ask(valid, scene, &mut Context::new(), packet),
+                Self::Four(ask) => ask(valid, scene, packet, ptr::null_mut()),
+            }
+        }
+    }
+}
+
 type Monitor = unsafe extern "C" fn(Raw, isize, bool) -> bool;
 type NewDevice = unsafe extern "C" fn(*const c_char) -> Raw;
 type LastError = unsafe extern "C" fn(Raw) -> c_int;
@@ -207,25 +248,15 @@ type Act = unsafe extern "C" fn(Raw);
 type Set = unsafe extern "C" fn(Raw, c_int);
 type Share = unsafe extern "C" fn(Raw, c_int, c_uint, c_int, *const c_void, usize, usize, usize);
 
-/// The queries, as each version declares them.
+/// The queries.
 #[derive(Clone, Copy)]
-enum Queries {
-    Three {
-        nearest: One3<RayHit>,
-        occluded: One3<Ray>,
-        nearest8: Many3<Packet<8>>,
-        nearest16: Many3<Packet<16>>,
-        occluded8: Many3<Packet<8>>,
-        occluded16: Many3<Packet<16>>,
-    },
-    Four {
-        nearest: One4<RayHit>,
-        occluded: One4<Ray>,
-        nearest8: Many4<Packet<8>>,
-        nearest16: Many4<Packet<16>>,
-        occluded8: Many4<Packet<8>>,
-        occluded16: Many4<Packet<16>>,
-    },
+struct Queries {
+    nearest: One<RayHit>,
+    occluded: One<Ray>,
+    nearest8: Many<8>,
+    nearest16: Many<16>,
+    occluded8: Many<8>,
+    occluded16: Many<16>,
 }
 
 /// A loaded library.
@@ -304,21 +335,21 @@ impl Embree {
         // SAFETY: as above; which types the queries have is what the version says.
         let queries = unsafe {
             match version.0 {
-                3 => Queries::Three {
-                    nearest: find(library, &path, "rtcIntersect1")?,
-                    occluded: find(library, &path, "rtcOccluded1")?,
-                    nearest8: find(library, &path, "rtcIntersect8")?,
-                    nearest16: find(library, &path, "rtcIntersect16")?,
-                    occluded8: find(library, &path, "rtcOccluded8")?,
-                    occluded16: find(library, &path, "rtcOccluded16")?,
+                3 => Queries {
+                    nearest: One::Three(find(library, &path, "rtcIntersect1")?),
+                    occluded: One::Three(find(library, &path, "rtcOccluded1")?),
+                    nearest8: Many::Three(find(library, &path, "rtcIntersect8")?),
+                    nearest16: Many::Three(find(library, &path, "rtcIntersect16")?),
+                    occluded8: Many::Three(find(library, &path, "rtcOccluded8")?),
+                    occluded16: Many::Three(find(library, &path, "rtcOccluded16")?),
                 },
-                4 => Queries::Four {
-                    nearest: find(library, &path, "rtcIntersect1")?,
-                    occluded: find(library, &path, "rtcOccluded1")?,
-                    nearest8: find(library, &path, "rtcIntersect8")?,
-                    nearest16: find(library, &path, "rtcIntersect16")?,
-                    occluded8: find(library, &path, "rtcOccluded8")?,
-                    occluded16: find(library, &path, "rtcOccluded16")?,
+                4 => Queries {
+                    nearest: One::Four(find(library, &path, "rtcIntersect1")?),
+                    occluded: One::Four(find(library, &path, "rtcOccluded1")?),
+                    nearest8: Many::Four(find(library, &path, "rtcIntersect8")?),
+                    nearest16: Many::Four(find(library, &path, "rtcIntersect16")?),
+                    occluded8: Many::Four(find(library, &path, "rtcOccluded8")?),
+                    occluded16: Many::Four(find(library, &path, "rtcOccluded16")?),
                 },
                 version => return Err(EmbreeError::Version { path, version }),
             }
@@ -508,14 +539,8 @@ impl Scene<'_> {
             instance: INVALID,
             room: [INVALID; 8],
         };
-        let scene = self.handle.as_ptr();
         // SAFETY: the scene is committed; the record is aligned and as large as the version wants.
-        unsafe {
-            match self.embree.queries {
-                Queries::Three { nearest, .. } => nearest(scene, &mut Context::new(), &mut hit),
-                Queries::Four { nearest, .. } => nearest(scene, &mut hit, ptr::null_mut()),
-            }
-        }
+        unsafe { self.embree.queries.nearest.ask(self.handle.as_ptr(), &mut hit) };
         (hit.geometry != INVALID).then_some(Found { t: hit.ray.far, triangle: hit.primitive })
     }
 
@@ -523,95 +548,51 @@ impl Scene<'_> {
     #[inline]
     pub fn occluded(&self, beam: &Beam) -> bool {
         let mut ray = ray(beam);
-        let scene = self.handle.as_ptr();
         // SAFETY: the scene is committed; the record is aligned.
-        unsafe {
-            match self.embree.queries {
-                Queries::Three { occluded, .. } => occluded(scene, &mut Context::new(), &mut ray),
-                Queries::Four { occluded, .. } => occluded(scene, &mut ray, ptr::null_mut()),
-            }
-        }
+        unsafe { self.embree.queries.occluded.ask(self.handle.as_ptr(), &mut ray) };
         // Minus infinity where something is.
         ray.far < 0.0
     }
 
     /// `rtcIntersect8`, eight rays at a time; `each` is told the answers in the order of the rays.
     pub fn nearest8(&self, beams: &[Beam], mut each: impl FnMut(Option<Found>)) {
-        for beams in beams.chunks(8) {
-            let (mut packet, valid) = gather::<8>(beams);
-            let scene = self.handle.as_ptr();
-            // SAFETY: the scene is committed; packet and mask are aligned and as large as the version wants.
-            unsafe {
-                match self.embree.queries {
-                    Queries::Three { nearest8, .. } => {
-                        nearest8(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
-                    }
-                    Queries::Four { nearest8, .. } => {
-                        nearest8(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
-                    }
-                }
-            }
-            scatter(&packet, beams.len(), &mut each);
-        }
+        let query = self.embree.queries.nearest8;
+        self.packets(query, beams, |packet, count| scatter(packet, count, &mut each));
     }
 
     /// `rtcIntersect16`, sixteen rays at a time; `each` is told the answers in the order of the rays.
     pub fn nearest16(&self, beams: &[Beam], mut each: impl FnMut(Option<Found>)) {
-        for beams in beams.chunks(16) {
-            let (mut packet, valid) = gather::<16>(beams);
-            let scene = self.handle.as_ptr();
-            // SAFETY: the scene is committed; packet and mask are aligned and as large as the version wants.
-            unsafe {
-                match self.embree.queries {
-                    Queries::Three { nearest16, .. } => {
-                        nearest16(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
-                    }
-                    Queries::Four { nearest16, .. } => {
-                        nearest16(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
-                    }
-                }
-            }
-            scatter(&packet, beams.len(), &mut each);
-        }
+        let query = self.embree.queries.nearest16;
+        self.packets(query, beams, |packet, count| scatter(packet, count, &mut each));
     }
 
     /// `rtcOccluded8`, eight rays at a time; `each` is told the answers in the order of the rays.
     pub fn occluded8(&self, beams: &[Beam], mut each: impl FnMut(bool)) {
-        for beams in beams.chunks(8) {
-            let (mut packet, valid) = gather::<8>(beams);
-            let scene = self.handle.as_ptr();
-            // SAFETY: the scene is committed; packet and mask are aligned and larger than the version wants.
-            unsafe {
-                match self.embree.queries {
-                    Queries::Three { occluded8, .. } => {
-                        occluded8(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
-                    }
-                    Queries::Four { occluded8, .. } => {
-                        occluded8(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
-                    }
-                }
-            }
-            packet.far.iter().take(beams.len()).for_each(|&far| each(far < 0.0));
-        }
+        self.packets(self.embree.queries.occluded8, beams, |packet, count| {
+            packet.far.iter().take(count).for_each(|&far| each(far < 0.0));
+        });
     }
 
     /// `rtcOccluded16`, sixteen rays at a time; `each` is told the answers in the order of the rays.
     pub fn occluded16(&self, beams: &[Beam], mut each: impl FnMut(bool)) {
-        for beams in beams.chunks(16) {
-            let (mut packet, valid) = gather::<16>(beams);
-            let scene = self.handle.as_ptr();
-            // SAFETY: the scene is committed; packet and mask are aligned and larger than the version wants.
-            unsafe {
-                match self.embree.queries {
-                    Queries::Three { occluded16, .. } => {
-                        occluded16(valid.0.as_ptr(), scene, &mut Context::new(), &mut packet);
-                    }
-                    Queries::Four { occluded16, .. } => {
-                        occluded16(valid.0.as_ptr(), scene, &mut packet, ptr::null_mut());
-                    }
-                }
-            }
-            packet.far.iter().take(beams.len()).for_each(|&far| each(far < 0.0));
+        self.packets(self.embree.queries.occluded16, beams, |packet, count| {
+            packet.far.iter().take(count).for_each(|&far| each(far < 0.0));
+        });
+    }
+
+    /// Asks about `N` rays at a time; `each` gets the packets, and how many of their rays count.
+    #[inline]
+    fn packets<const N: usize>(
+        &self,
+        query: Many<N>,
+        beams: &[Beam],
+        mut each: impl FnMut(&Packet<N>, usize),
+    ) {
+        for beams in beams.chunks(N) {
+            let (mut packet, valid) = gather::<N>(beams);
+            // SAFETY: the scene is committed.
+            unsafe { query.ask(&valid, self.handle.as_ptr(), &mut packet) };
+            each(&packet, beams.len());
         }
     }
 }

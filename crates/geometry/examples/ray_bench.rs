@@ -3,40 +3,18 @@
 //! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes.
 //! Rays are incoherent: diffuse bounces from random places, one after the other, as photons are.
 
+#[path = "../tests/common/mod.rs"]
+mod common;
+
 use std::time::Instant;
 
+use common::Random;
 use enf_geometry::{
     BvhView, GridView, Hit, NONE, Query, Ray, TileMesh, build_bvh, build_grid, complete_bvh,
     grid_bytes_estimate,
 };
 use enf_layout::codec;
 use glam::Vec3;
-
-struct Random(u64);
-
-impl Random {
-    fn unit(&mut self) -> f32 {
-        self.0 = self.0.wrapping_add(0x9E37_79B9_7F4A_7C15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xBF58_476D_1CE4_E5B9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
-        ((z ^ (z >> 31)) >> 40) as f32 / (1u64 << 24) as f32
-    }
-
-    fn in_box(&mut self, size: Vec3) -> Vec3 {
-        Vec3::new(self.unit(), self.unit(), self.unit()) * size
-    }
-
-    fn direction(&mut self) -> Vec3 {
-        loop {
-            let p = 2.0 * self.in_box(Vec3::ONE) - Vec3::ONE;
-            let square = p.length_squared();
-            if square > 1e-4 && square <= 1.0 {
-                return p / square.sqrt();
-            }
-        }
-    }
-}
 
 /// An `n` x `n` patch of quadrilaterals.
 fn patch(out: &mut Vec<[[f32; 3]; 3]>, n: usize, at: impl Fn(f32, f32) -> Vec3) {

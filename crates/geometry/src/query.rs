@@ -1,8 +1,8 @@
 //! One question: the nearest canonical hit in an interval, or whether there is one.
 
-use enf_layout::bvh::LeafBlock;
 use std::hint::select_unpredictable;
 
+use enf_layout::bvh::LeafBlock;
 use glam::Vec4;
 
 use crate::mesh::TileMesh;
@@ -85,14 +85,15 @@ impl Search {
         let here = ((1 << count) - 1) & !lanes_of(&block.global, self.exclude);
         let kept = four.kept(self.margin);
         let (from, to) = (Vec4::splat(self.t_min), Vec4::splat(self.best.t));
-        let good = kept & here & (four.t.cmpge(from) & four.t.cmple(to)).bitmask();
+        let inside = four.t.cmpge(from) & four.t.cmple(to);
+        let good = kept & here & inside.bitmask();
         // What is in doubt, and not beyond the best hit by more than rounding.
         let beyond = (four.nearest * NEARLY_ONE).cmpgt(Vec4::splat(self.best.t.max(LEAST)));
         let doubts = (four.hit & !kept | four.unsure) & here & !beyond.bitmask();
 
-        // The nearest of the good ones. Whether there is one cannot be foretold: no branch. The larger of a number and
-        // NaN is here the second operand.
-        let t = four.t.max(Vec4::from_array(OTHERS[good as usize & 15]));
+        // The nearest of the good ones. Whether there is one cannot be foretold: no branch. NaN is not inside.
+        let t = Vec4::select(inside, four.t, Vec4::splat(f32::INFINITY));
+        let t = t.max(Vec4::from_array(OTHERS[good as usize & 15]));
         let first = t.min_element();
         let same = good & t.cmpeq(Vec4::splat(first)).bitmask();
         if same & same.wrapping_sub(1) != 0 {

@@ -2,6 +2,7 @@
 
 mod common;
 
+use common::closed::octahedron;
 use common::{Random, delta};
 use enf_geometry::{PreparedRay, Ray, intersect};
 use glam::{DVec3, Vec3};
@@ -129,22 +130,6 @@ fn clear_hits_and_misses_agree_with_f64() {
 
 /// A closed surface of triangles around the origin: a subdivided, shaken octahedron.
 fn closed(random: &mut Random, level: u32, squash: Vec3) -> Vec<[Vec3; 3]> {
-    let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
-    let mut out = Vec::new();
-    for (i, j, k) in [(1., 1., 1.), (-1., 1., 1.), (1., -1., 1.), (-1., -1., 1.)] {
-        out.push([i * x, j * y, k * z]);
-        out.push([i * x, j * y, -k * z]);
-    }
-    for _ in 0..level {
-        out = out
-            .into_iter()
-            .flat_map(|[a, b, c]| {
-                // (a + b) is (b + a) to the bit: neighbours share their midpoints.
-                let [p, q, r] = [a + b, b + c, c + a].map(|m| m.normalize());
-                [[a, p, r], [p, b, q], [r, q, c], [p, q, r]]
-            })
-            .collect();
-    }
     let seed = random.bits();
     let shaken = |p: Vec3| {
         let key = p
@@ -153,7 +138,7 @@ fn closed(random: &mut Random, level: u32, squash: Vec3) -> Vec<[Vec3; 3]> {
             .fold(seed, |h, x| Random(h ^ u64::from((x + 0.0).to_bits())).bits());
         p * (1.0 + 0.3 * Random(key).unit()) * squash
     };
-    out.into_iter().map(|t| t.map(shaken)).collect()
+    octahedron(level).into_iter().map(|t| t.map(shaken)).collect()
 }
 
 #[test]

@@ -66,7 +66,7 @@ impl<L: Level, A: Answer, const ANY: bool> Flights<'_, L, A, ANY> {
             *next += 1;
             let search = &mut flight.search[place & MASK];
             *search = Search::new(self.bvh.delta, query);
-            if self.bvh.is_plain(search) {
+            if self.bvh.needs_walk(search) {
                 flight.boxes[place & MASK] = self.level.boxes(&search.ray);
                 flight.index[place & MASK] = index as u32;
                 flight.enter[place & MASK][WIDTH] = f32::NEG_INFINITY;

@@ -147,13 +147,6 @@ pub(super) trait Level: Copy {
 
     fn boxes(self, ray: &PreparedRay) -> Self::Ray;
 
-    /// Which children's boxes overlap `[from, to]` on the ray: the first one in the order of its signs is the answer, or
-    /// [`NOTHING`]; the others go to the stack.
-    fn open(self, node: &BvhNode, ray: &Self::Ray, from: f32, to: f32, stack: &mut Stack) -> u32;
-
-    /// Takes the last entry that begins at `to` or before; those after it go with it.
-    fn pop(self, stack: &mut Stack, to: f32) -> u32;
-
     /// All children whose boxes overlap `[from, to]` on the ray: where they are entered, what they are, and how many,
     /// in the order of the ray's signs, the first one last.
     fn open_all(
@@ -166,6 +159,31 @@ pub(super) trait Level: Copy {
 
     /// Which of eight distances are not beyond `to`, a bit each.
     fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32;
+
+    /// The first of the children that [`Level::open_all`] finds, or [`NOTHING`]; the others go to the stack.
+    #[inline(always)]
+    fn open(self, node: &BvhNode, ray: &Self::Ray, from: f32, to: f32, stack: &mut Stack) -> u32 {
+        let (enter, what, count) = self.open_all(node, ray, from, to);
+        if count == 0 {
+            return NOTHING;
+        }
+        let first = count as usize - 1;
+        stack.push(enter, what, first);
+        what[first & (WIDTH - 1)]
+    }
+
+    /// Takes the last entry that begins at `to` or before; those after it go with it.
+    #[inline(always)]
+    fn pop(self, stack: &mut Stack, to: f32) -> u32 {
+        loop {
+            let open = self.begun(&stack.top(), to);
+            // The topmost is the highest bit.
+            if open != 0 {
+                return stack.take((open << 24).leading_zeros() as usize + 1);
+            }
+            stack.take(WIDTH);
+        }
+    }
 }
 
 /// A child as an entry.
@@ -212,8 +230,14 @@ impl Level for Portable {
     }
 
     #[inline(always)]
-    fn open(self, node: &BvhNode, ray: &PortableRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
-        let (mut enter, mut leave) = ([from; WIDTH], [to; WIDTH]);
+    fn open_all(
+        self,
+        node: &BvhNode,
+        ray: &PortableRay,
+        from: f32,
+        to: f32,
+    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
+        let (mut near_ends, mut far_ends) = ([from; WIDTH], [to; WIDTH]);
         for axis in 0..3 {
             let pace = node.step[axis] * ray.inverse[axis];
             let base = (node.origin[axis] - ray.origin[axis]) * ray.inverse[axis];
@@ -223,61 +247,28 @@ impl Level for Portable {
                 let a = at(node.bounds[axis][i + near]);
                 let b = at(node.bounds[axis][i + (WIDTH - near)]);
                 // As the machine's instructions: the second operand where either is NaN.
-                enter[i] = if a > enter[i] { a } else { enter[i] };
-                leave[i] = if b < leave[i] { b } else { leave[i] };
+                near_ends[i] = if a > near_ends[i] { a } else { near_ends[i] };
+                far_ends[i] = if b < far_ends[i] { b } else { far_ends[i] };
             }
         }
         let mut mask = 0;
         for i in 0..WIDTH {
-            mask |= u32::from(enter[i] <= leave[i]) << i;
+            mask |= u32::from(near_ends[i] <= far_ends[i]) << i;
         }
         mask &= node.used;
-        // Slots in the order of the ray's signs; the first is the answer.
-        let mut last = None;
+        let (mut enter, mut what, mut count) = ([from; WIDTH], [NOTHING; WIDTH], 0);
         for i in (0..WIDTH).rev() {
             let slot = i ^ ray.signs;
-            if mask >> slot & 1 != 0
-                && let Some(last) = last.replace(slot)
-            {
-                stack.push([enter[last]; WIDTH], [entry(node, last); WIDTH], 1);
+            if mask >> slot & 1 != 0 {
+                enter[count] = near_ends[slot];
+                what[count] = entry(node, slot);
+                count += 1;
             }
         }
-        last.map_or(NOTHING, |first| entry(node, first))
+        (enter, what, count as u32)
     }
 
     #[inline(always)]
-    fn pop(self, stack: &mut Stack, to: f32) -> u32 {
-        let mut count = 1;
-        while stack.top()[WIDTH - count] > to {
-            if count == WIDTH {
-                stack.take(WIDTH);
-                count = 0;
-            }
-            count += 1;
-        }
-        stack.take(count)
-    }
-
-    fn open_all(
-        self,
-        node: &BvhNode,
-        ray: &PortableRay,
-        from: f32,
-        to: f32,
-    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
-        let mut stack = Stack { enter: ArrayVec::new(), what: ArrayVec::new() };
-        let first = self.open(node, ray, from, to, &mut stack);
-        let (mut enter, mut what) = ([from; WIDTH], [NOTHING; WIDTH]);
-        let n = stack.enter.len();
-        enter[..n].copy_from_slice(&stack.enter);
-        what[..n].copy_from_slice(&stack.what);
-        if first == NOTHING {
-            return (enter, what, 0);
-        }
-        what[n] = first;
-        (enter, what, n as u32 + 1)
-    }
-
     fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
         let mut mask = 0;
         for (i, e) in enter.iter().enumerate() {
@@ -419,66 +410,25 @@ fn entries(simd: V3, node: &BvhNode, ray: &VectorRay) -> __m256i {
     avx2._mm256_add_epi32(avx2._mm256_or_si256(kind, low), base)
 }
 
+/// What AVX2 and AVX-512 do each in their own way.
 #[cfg(target_arch = "x86_64")]
-impl Level for V4 {
-    type Ray = VectorRay;
+trait Vector: Copy {
+    fn v3(self) -> V3;
 
+    /// The lanes whose bits are set, moved to the front.
+    fn keep(self, mask: u32, lanes: __m256i) -> [u32; WIDTH];
+}
+
+#[cfg(target_arch = "x86_64")]
+impl Vector for V4 {
     #[inline(always)]
-    fn boxes(self, ray: &PreparedRay) -> VectorRay {
-        vector_ray(*self, ray)
+    fn v3(self) -> V3 {
+        *self
     }
 
     #[inline(always)]
-    fn open(self, node: &BvhNode, ray: &VectorRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
-        let (enter, leave) = slabs(*self, node, ray, from, to);
-        // 18: less or equal, quiet, false for NaN.
-        let mask = self.avx512f._mm256_cmp_ps_mask::<18>(enter, leave);
-        let all = entries(*self, node, ray);
-        if mask == 0 {
-            return NOTHING;
-        }
-        let first = 7 - mask.leading_zeros();
-        let rest = mask & !(1 << first);
-        let what = self.avx512f._mm256_maskz_compress_epi32(rest, all);
-        let enter = self.avx512f._mm256_maskz_compress_epi32(rest, cast(enter));
-        stack.push(cast(enter), cast(what), rest.count_ones() as usize);
-        let all: [u32; WIDTH] = cast(all);
-        all[(first & 7) as usize]
-    }
-
-    #[inline(always)]
-    fn pop(self, stack: &mut Stack, to: f32) -> u32 {
-        loop {
-            let enter = cast(stack.top());
-            let to = self.avx._mm256_set1_ps(to);
-            let open = self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(enter, to)) as u32;
-            // The topmost is the highest bit.
-            if open != 0 {
-                return stack.take((open << 24).leading_zeros() as usize + 1);
-            }
-            stack.take(WIDTH);
-        }
-    }
-
-    #[inline(always)]
-    fn open_all(
-        self,
-        node: &BvhNode,
-        ray: &VectorRay,
-        from: f32,
-        to: f32,
-    ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
-        let (enter, leave) = slabs(*self, node, ray, from, to);
-        let mask = self.avx512f._mm256_cmp_ps_mask::<18>(enter, leave);
-        let what = self.avx512f._mm256_maskz_compress_epi32(mask, entries(*self, node, ray));
-        let enter = self.avx512f._mm256_maskz_compress_epi32(mask, cast(enter));
-        (cast(enter), cast(what), mask.count_ones())
-    }
-
-    #[inline(always)]
-    fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
-        let to = self.avx._mm256_set1_ps(to);
-        self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(cast(*enter), to)) as u32
+    fn keep(self, mask: u32, lanes: __m256i) -> [u32; WIDTH] {
+        cast(self.avx512f._mm256_maskz_compress_epi32(mask as u8, lanes))
     }
 }
 
@@ -502,47 +452,27 @@ static KEPT: [u64; 256] = {
 };
 
 #[cfg(target_arch = "x86_64")]
-impl Level for V3 {
+impl Vector for V3 {
+    #[inline(always)]
+    fn v3(self) -> V3 {
+        self
+    }
+
+    #[inline(always)]
+    fn keep(self, mask: u32, lanes: __m256i) -> [u32; WIDTH] {
+        let kept = self.sse2._mm_set_epi64x(0, KEPT[(mask & 255) as usize] as i64);
+        let kept = self.avx2._mm256_cvtepu8_epi32(kept);
+        cast(self.avx2._mm256_permutevar8x32_epi32(lanes, kept))
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+impl<V: Vector> Level for V {
     type Ray = VectorRay;
 
     #[inline(always)]
     fn boxes(self, ray: &PreparedRay) -> VectorRay {
-        vector_ray(self, ray)
-    }
-
-    #[inline(always)]
-    fn open(self, node: &BvhNode, ray: &VectorRay, from: f32, to: f32, stack: &mut Stack) -> u32 {
-        let (avx, avx2) = (self.avx, self.avx2);
-        let (enter, leave) = slabs(self, node, ray, from, to);
-        let overlap = avx._mm256_cmp_ps::<18>(enter, leave);
-        let mask = avx._mm256_movemask_ps(overlap) as u32;
-        let all = entries(self, node, ray);
-        if mask == 0 {
-            return NOTHING;
-        }
-        let first = 31 - mask.leading_zeros();
-        let rest = mask & !(1 << first);
-        let lanes = self.sse2._mm_set_epi64x(0, KEPT[(rest & 255) as usize] as i64);
-        let lanes = avx2._mm256_cvtepu8_epi32(lanes);
-        let what = avx2._mm256_permutevar8x32_epi32(all, lanes);
-        let enter = avx2._mm256_permutevar8x32_ps(enter, lanes);
-        stack.push(cast(enter), cast(what), rest.count_ones() as usize);
-        let all: [u32; WIDTH] = cast(all);
-        all[(first & 7) as usize]
-    }
-
-    #[inline(always)]
-    fn pop(self, stack: &mut Stack, to: f32) -> u32 {
-        loop {
-            let enter = cast(stack.top());
-            let to = self.avx._mm256_set1_ps(to);
-            let open = self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(enter, to)) as u32;
-            // The topmost is the highest bit.
-            if open != 0 {
-                return stack.take((open << 24).leading_zeros() as usize + 1);
-            }
-            stack.take(WIDTH);
-        }
+        vector_ray(self.v3(), ray)
     }
 
     #[inline(always)]
@@ -553,18 +483,19 @@ impl Level for V3 {
         from: f32,
         to: f32,
     ) -> ([f32; WIDTH], [u32; WIDTH], u32) {
-        let (enter, leave) = slabs(self, node, ray, from, to);
-        let mask = self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(enter, leave)) as u32;
-        let lanes = self.sse2._mm_set_epi64x(0, KEPT[(mask & 255) as usize] as i64);
-        let lanes = self.avx2._mm256_cvtepu8_epi32(lanes);
-        let what = self.avx2._mm256_permutevar8x32_epi32(entries(self, node, ray), lanes);
-        let enter = self.avx2._mm256_permutevar8x32_ps(enter, lanes);
-        (cast(enter), cast(what), mask.count_ones())
+        let simd = self.v3();
+        let (enter, leave) = slabs(simd, node, ray, from, to);
+        // 18: less or equal, quiet, false for NaN.
+        let overlap = simd.avx._mm256_cmp_ps::<18>(enter, leave);
+        let mask = simd.avx._mm256_movemask_ps(overlap) as u32;
+        let enter: [u32; WIDTH] = self.keep(mask, cast(enter));
+        (cast(enter), self.keep(mask, entries(simd, node, ray)), mask.count_ones())
     }
 
     #[inline(always)]
     fn begun(self, enter: &[f32; WIDTH], to: f32) -> u32 {
-        let to = self.avx._mm256_set1_ps(to);
-        self.avx._mm256_movemask_ps(self.avx._mm256_cmp_ps::<18>(cast(*enter), to)) as u32
+        let avx = self.v3().avx;
+        let begun = avx._mm256_cmp_ps::<18>(cast(*enter), avx._mm256_set1_ps(to));
+        avx._mm256_movemask_ps(begun) as u32
     }
 }

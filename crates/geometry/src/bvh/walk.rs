@@ -57,7 +57,7 @@ impl BvhView<'_> {
     /// [`BvhView::nearest`] by certain instructions: for tests, as all agree.
     pub fn nearest_with(&self, instructions: Instructions, query: &Query) -> Option<Hit> {
         let mut search = Search::new(self.delta, query);
-        if self.is_plain(&mut search) {
+        if self.needs_walk(&mut search) {
             self.walk::<false>(instructions, &mut search);
         }
         search.answer()
@@ -71,7 +71,7 @@ impl BvhView<'_> {
     /// [`BvhView::occluded`] by certain instructions: for tests, as all agree.
     pub fn occluded_with(&self, instructions: Instructions, query: &Query) -> bool {
         let mut search = Search::new(self.delta, query);
-        if self.is_plain(&mut search) {
+        if self.needs_walk(&mut search) {
             self.walk::<true>(instructions, &mut search);
         }
         search.found
@@ -110,7 +110,7 @@ impl BvhView<'_> {
 
     /// Whether there is anything to walk for. Where boxes cannot be trusted, every triangle is tested here.
     #[inline(always)]
-    pub(super) fn is_plain(&self, search: &mut Search) -> bool {
+    pub(super) fn needs_walk(&self, search: &mut Search) -> bool {
         if !search.is_sane() {
             return false;
         }

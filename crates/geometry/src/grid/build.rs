@@ -37,9 +37,7 @@ pub fn grid_build_bytes(triangles: u64) -> u64 {
 pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
     let delta = if delta.is_finite() { delta.max(0.0) } else { 0.0 };
     let limit = grid_bytes_estimate(mesh.triangles.len() as u64);
-    // With a tolerance near the largest number no cell would be wide enough: see `walk`.
-    let mut plan = Plan::new(mesh, if delta <= LARGEST { delta } else { 0.0 });
-    plan.tolerance = delta;
+    let plan = Plan::new(mesh, delta);
     let mut cell = plan.best_cell(limit);
     loop {
         let lattice = plan.lattice(cell);
@@ -53,8 +51,10 @@ pub fn build_grid(mesh: &TileMesh, delta: f32) -> Vec<u8> {
 
 /// What the mesh looks like from far away.
 struct Plan {
-    /// The tolerance that the grid will be for, m, and the one that cells are moved out for.
+    /// The tolerance that the grid is for, m.
     tolerance: f32,
+    /// The one that cells are moved out for: with one near the largest number, no cell would be wide enough, and the walk
+    /// does not rely on them.
     delta: f32,
     min: [f32; 3],
     max: [f32; 3],
@@ -73,7 +73,8 @@ struct Lattice {
 }
 
 impl Plan {
-    fn new(mesh: &TileMesh, delta: f32) -> Self {
+    fn new(mesh: &TileMesh, tolerance: f32) -> Self {
+        let delta = if tolerance <= LARGEST { tolerance } else { 0.0 };
         let bounds = mesh.bounds();
         let (mut min, mut max) = ([0.0; 3], [0.0; 3]);
         if !mesh.is_empty() {
@@ -90,16 +91,7 @@ impl Plan {
             edges += (a.max(b).max(c) - a.min(b).min(c)).element_sum();
             areas += 0.5 * (b - a).cross(c - a).abs().element_sum();
         }
-        Self {
-            tolerance: delta,
-            delta,
-            min,
-            max,
-            extent,
-            triangles: mesh.len().into(),
-            edges,
-            areas,
-        }
+        Self { tolerance, delta, min, max, extent, triangles: mesh.len().into(), edges, areas }
     }
 
     /// The smallest lattice of such cells that covers the box.

@@ -105,7 +105,7 @@ fn noise(seed: u64, key: [u32; 3], what: u64) -> f32 {
 }
 
 /// An octahedron, subdivided `level` times, on the unit sphere: eight times four to the `level` triangles.
-fn octahedron(level: u32) -> Vec<Corners> {
+pub fn octahedron(level: u32) -> Vec<Corners> {
     let (x, y, z) = (Vec3::X, Vec3::Y, Vec3::Z);
     let mut out = Vec::new();
     for i in [1.0, -1.0] {

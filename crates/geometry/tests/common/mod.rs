@@ -227,6 +227,11 @@ impl Random {
         (self.bits() >> 40) as f32 / (1u64 << 24) as f32
     }
 
+    /// Between the origin and `size`.
+    pub fn in_box(&mut self, size: Vec3) -> Vec3 {
+        Vec3::new(self.unit(), self.unit(), self.unit()) * size
+    }
+
     /// In `[-1, 1)` cubed.
     pub fn cube(&mut self) -> Vec3 {
         2.0 * Vec3::new(self.unit(), self.unit(), self.unit()) - 1.0
