@@ -194,11 +194,19 @@ const FLAG_COMPACT: c_int = 2;
 const FLAG_ROBUST: c_int = 4;
 
 /// A query of one ray, as each version declares it.
-#[derive(Clone, Copy)]
 enum One<R> {
     Three(unsafe extern "C" fn(Raw, *mut Context, *mut R)),
     Four(unsafe extern "C" fn(Raw, *mut R, Raw)),
 }
+
+// Derived, they would ask the same of the record.
+impl<R> Clone for One<R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<R> Copy for One<R> {}
 
 impl<R> One<R> {
     /// # Safety
