@@ -31,10 +31,35 @@ pub struct LightRecord {
     pub radius: f32,
     /// Unit axis of a point, area-weighted mean normal of an area light (zero if it cancels).
     pub axis: [f32; 3],
+    /// What else the kind needs, by index in a table of its own; [`crate::NONE`] if nothing.
+    pub profile: u32,
+    /// Unit vector square to `axis`, from which angles about it are counted; zero where nobody counts them.
+    pub tangent: [f32; 3],
+    /// Cosines of the angles to `axis` at which a cone begins to fade and is dark; -1 without a cone.
+    pub cone: [f32; 2],
     /// Zero.
-    pub reserved: u32,
+    pub reserved: [u32; 3],
 }
-const _: () = assert!(size_of::<LightRecord>() == 64);
+const _: () = assert!(size_of::<LightRecord>() == 96);
+
+impl LightRecord {
+    /// A light that is dark, nowhere and of no size: what a kind does not need stays so.
+    pub const DARK: Self = Self {
+        kind: LIGHT_POINT,
+        material: crate::NONE,
+        first_emitter: 0,
+        emitter_count: 0,
+        flux_w: [0.0; 3],
+        area_m2: 0.0,
+        position: [0.0; 3],
+        radius: 0.0,
+        axis: [0.0; 3],
+        profile: crate::NONE,
+        tangent: [0.0; 3],
+        cone: [-1.0; 2],
+        reserved: [0; 3],
+    };
+}
 
 /// One emitting triangle.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]

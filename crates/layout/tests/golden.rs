@@ -210,7 +210,10 @@ fn records() -> Vec<Golden> {
             position: [6.0, 7.0, 8.0],
             radius: 0.5,
             axis: [0.0, 0.0, -1.0],
-            reserved: 0,
+            profile: 3,
+            tangent: [1.0, 0.0, 0.0],
+            cone: [0.875, 0.75],
+            reserved: [0; 3],
         }
         EmitterRecord {
             corners: [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]],

@@ -110,7 +110,7 @@ pub(crate) fn hang(
             position: [at.x, at.y, z],
             radius: half * core::f32::consts::SQRT_2,
             axis: [0.0, 0.0, -1.0],
-            reserved: 0,
+            ..LightRecord::DARK
         });
         world.light_names.push(format!("ceiling light of room {id}"));
         for (i, corners) in triangles.into_iter().enumerate() {

@@ -1,10 +1,7 @@
 //! Lights: emitting triangles gathered by object and material, and points.
 
 use crate::{Lights, Material, SceneError, stream::area_vector};
-use enf_layout::{
-    NONE,
-    light::{EmitterRecord, LIGHT_AREA, LightRecord},
-};
+use enf_layout::light::{EmitterRecord, LIGHT_AREA, LightRecord};
 use glam::DVec3;
 use std::{
     collections::{BTreeMap, HashSet},
@@ -93,7 +90,7 @@ pub(crate) fn gather(
             } else {
                 (axis / axis.length()).to_array().map(|v| v as f32)
             },
-            reserved: 0,
+            ..LightRecord::DARK
         });
         lights.names.push(format!("{} {}", name(object), materials[material as usize].name));
     }
@@ -102,18 +99,7 @@ pub(crate) fn gather(
 
 /// A point light's record.
 pub(crate) fn point(kind: u32, position: [f32; 3], axis: [f32; 3], flux: [f64; 3]) -> LightRecord {
-    LightRecord {
-        kind,
-        material: NONE,
-        first_emitter: 0,
-        emitter_count: 0,
-        flux_w: flux.map(|v| v as f32),
-        area_m2: 0.0,
-        position,
-        radius: 0.0,
-        axis,
-        reserved: 0,
-    }
+    LightRecord { kind, flux_w: flux.map(|v| v as f32), position, axis, ..LightRecord::DARK }
 }
 
 /// Sets the radiance of materials that are given by the flux of each light. Lights of one material
