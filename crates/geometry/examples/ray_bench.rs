@@ -1,6 +1,7 @@
-//! Rays per second in a furnished room, each structure and way of asking in turn: `ray_bench [triangles] [rays]`.
+//! Rays per second in a furnished room, each structure and way of asking in turn: `ray_bench [triangles] [rays] [bust]`.
 //!
-//! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes.
+//! The room is 20 x 15 x 4 m, its walls tessellated, its furniture boxes and spheres of all sizes. Of its triangles, `bust` (0 to 1, otherwise 0)
+//! are in one ball of 20 cm in the middle.
 //! Rays are incoherent: diffuse bounces from random places, one after the other, as photons are.
 
 #[path = "../tests/common/mod.rs"]
@@ -36,26 +37,32 @@ fn cuboid(out: &mut Vec<[[f32; 3]; 3]>, n: usize, min: Vec3, size: Vec3) {
     }
 }
 
-fn room(target: usize, random: &mut Random) -> Vec<[[f32; 3]; 3]> {
+fn room(all: usize, bust: f64, random: &mut Random) -> Vec<[[f32; 3]; 3]> {
     let size = Vec3::new(20.0, 15.0, 4.0);
     let mut out = Vec::new();
+    let ball = |at: Vec3, scale: f32| {
+        move |s: f32, t: f32| {
+            let (a, b) = (s * std::f32::consts::TAU, t * std::f32::consts::PI);
+            let (a, b) = (sin_cos(a), sin_cos(b));
+            at + scale + scale * Vec3::new(a.1 * b.0, a.0 * b.0, b.1)
+        }
+    };
+    let of_bust = all as f64 * bust.clamp(0.0, 1.0);
+    patch(&mut out, (of_bust / 2.0).sqrt() as usize, ball(size / 2.0, 0.2));
+    let in_bust = out.len();
+    let target = all - in_bust;
     cuboid(&mut out, ((target / 60) as f32).sqrt() as usize + 1, Vec3::ZERO, size);
-    while out.len() < target {
+    while out.len() < all {
         let scale = 0.05 + random.unit() * random.unit();
         let mut at = random.in_box(size - 2.0 * scale);
         at.z *= random.unit() * 0.5;
         if random.unit() < 0.6 {
             cuboid(&mut out, 1 + (random.unit() * 3.0) as usize, at, random.in_box(size) * 0.1);
         } else {
-            let sphere = |s: f32, t: f32| {
-                let (a, b) = (s * std::f32::consts::TAU, t * std::f32::consts::PI);
-                let (a, b) = (sin_cos(a), sin_cos(b));
-                at + scale + scale * Vec3::new(a.1 * b.0, a.0 * b.0, b.1)
-            };
-            patch(&mut out, 12 + (random.unit() * 12.0) as usize, sphere);
+            patch(&mut out, 12 + (random.unit() * 12.0) as usize, ball(at, scale));
         }
     }
-    out.truncate(target);
+    out.truncate(all);
     out
 }
 
@@ -64,11 +71,12 @@ fn sin_cos(x: f32) -> (f32, f32) {
 }
 
 fn main() {
-    let mut arguments = std::env::args().skip(1).filter_map(|a| a.parse().ok());
-    let triangles: usize = arguments.next().unwrap_or(60_000);
-    let rays: usize = arguments.next().unwrap_or(2_000_000);
+    let mut arguments = std::env::args().skip(1).filter_map(|a| a.parse::<f64>().ok());
+    let triangles = arguments.next().unwrap_or(60_000.0) as usize;
+    let rays = arguments.next().unwrap_or(2e6) as usize;
+    let bust = arguments.next().unwrap_or(0.0);
     let mut random = Random(7);
-    let soup = room(triangles, &mut random);
+    let soup = room(triangles, bust, &mut random);
     let start = Instant::now();
     let blob = TileMesh::build_blob(soup.iter().enumerate().map(|(i, &t)| (i as u32, 0, t)));
     println!("mesh: {} triangles, {} bytes, {:?}", soup.len(), blob.len(), start.elapsed());

@@ -4,14 +4,15 @@ mod common;
 
 use common::{Blobs, Corners, KINDS, Random, anything, bits, blob, delta, spelt};
 use enf_geometry::{
-    BvhView, NONE, Query, Ray, Structure, StructureKind, TileMesh, bvh_bytes_estimate,
-    grid_bytes_estimate, nearest_by_force, structure_bytes_estimate,
+    BvhView, GridView, NONE, Query, Ray, Structure, StructureKind, TileMesh, build_grid,
+    bvh_bytes_estimate, grid_bytes_estimate, nearest_by_force, structure_bytes_estimate,
 };
 use enf_layout::bvh::{
     BvhHeader, BvhNode, CHILD_INNER, DEPTH, LEAF_TRIANGLES, LeafBlock, SECTION_NODES, SECTIONS,
     WIDTH,
 };
 use enf_layout::codec;
+use enf_layout::grid::{BrickRecord, SECTION_BRICKS};
 use enf_layout::sections::{self, Transform};
 use glam::Vec3;
 use proptest::prelude::*;
@@ -124,6 +125,45 @@ fn a_big_tessellated_room_agrees_too() {
     assert!(hits > 3000);
 }
 
+/// A few big triangles, and hundreds in a hand's breadth: cells are divided there, and rays meet them as well through
+/// divided cells as anywhere.
+#[test]
+fn a_crowd_in_an_empty_hall_agrees_too() {
+    let mut random = Random(12);
+    let (hall, at) = (40.0, Vec3::new(3.3, -7.1, 5.2));
+    let mut triangles = common::zoo(&mut random, 30, hall);
+    let crowd: Vec<_> =
+        common::zoo(&mut random, 900, 0.4).into_iter().map(|t| t.map(|p| p + at)).collect();
+    triangles.extend(&crowd);
+    let rays: Vec<_> = (0..1500)
+        .map(|i| match i % 3 {
+            0 => common::ray(&mut random, &triangles, hall),
+            // At the crowd from afar, and out of it.
+            1 => {
+                let origin = hall * random.cube();
+                Ray { origin, direction: at + 0.4 * random.cube() - origin }
+            }
+            _ => Ray { origin: at + 0.4 * random.cube(), direction: random.direction() },
+        })
+        .collect();
+    let hits = compare(&triangles, rays, delta(hall), 6);
+    assert!(hits > 1500, "{hits}");
+
+    let blobs = Blobs::new(&triangles, delta(hall));
+    let bricks = |triangles: &[Corners]| -> (usize, usize) {
+        let mesh = blob(triangles);
+        let mesh = TileMesh::from_blob(&mesh).unwrap();
+        let grid = build_grid(&mesh, blobs.delta);
+        let header = *GridView::from_blob(&grid, mesh, blobs.delta).unwrap().header();
+        let all: &[BrickRecord] = sections::section(&grid, SECTION_BRICKS).unwrap();
+        (header.bricks.iter().product::<u32>() as usize, all.len())
+    };
+    let (outer, all) = bricks(&triangles);
+    assert!(all > outer, "no cell is divided");
+    let (outer, all) = bricks(&triangles[..30]);
+    assert_eq!(all, outer, "a cell is divided for nothing");
+}
+
 #[test]
 fn ties_go_to_the_smaller_global_index() {
     let wall = [Vec3::ZERO, 4.0 * Vec3::X, 4.0 * Vec3::Y];
@@ -198,7 +238,9 @@ fn odd_rays_and_meshes_are_harmless() {
 #[test]
 fn a_corrupt_structure_is_rejected_or_harmless() {
     let mut random = Random(21);
-    let triangles = common::zoo(&mut random, 12, 4.0);
+    let mut triangles = common::zoo(&mut random, 12, 4.0);
+    // A crowd, so that the grid divides a cell.
+    triangles.extend(common::zoo(&mut random, 40, 0.05));
     let tolerance = delta(4.0);
     let mesh_blob = blob(&triangles);
     let mesh = TileMesh::from_blob(&mesh_blob).unwrap();

@@ -1,12 +1,12 @@
-//! A tile's uniform grid, kept in bricks: a [`crate::sections`] blob with the sections below, in this
-//! order.
+//! A tile's uniform grid, kept in bricks, with finer bricks in its crowded cells: a [`crate::sections`] blob with
+//! the sections below, in this order.
 //!
 //! | section | element | meaning |
 //! |---|---|---|
 //! | [`SECTION_HEADER`] | [`GridHeader`] | one |
-//! | [`SECTION_BRICKS`] | [`BrickRecord`] | bricks, x fastest, then y, then z |
+//! | [`SECTION_BRICKS`] | [`BrickRecord`] | bricks, x fastest, then y, then z; then those inside of crowded cells, in the order of these |
 //! | [`SECTION_STARTS`] | `u32` | first reference of each occupied cell (bricks in order, cells by bit), then the end |
-//! | [`SECTION_REFERENCES`] | `u32` | triangles of the tile (indices into its mesh), ascending in each cell |
+//! | [`SECTION_REFERENCES`] | `u32` | triangles of the tile (indices into its mesh), ascending in each cell; a crowded cell has [`FINER`] with the brick that divides it, alone |
 
 use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
@@ -23,6 +23,8 @@ pub const SECTIONS: usize = 4;
 
 /// Cells along an edge of a brick.
 pub const BRICK: u32 = 4;
+/// Marks a reference to a brick, which divides the cell into 4 x 4 x 4 smaller ones. Those are not divided again.
+pub const FINER: u32 = 1 << 31;
 
 /// What a grid is made of.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -36,11 +38,11 @@ pub struct GridHeader {
     pub cell: f32,
     /// Tolerance that it was built for, m.
     pub delta: f32,
-    /// Bricks along x, y and z.
+    /// Bricks along x, y and z, those inside of cells not counted.
     pub bricks: [u32; 3],
     /// Triangles of the mesh.
     pub triangles: u32,
-    /// Cells with at least one triangle.
+    /// Cells with at least one triangle, of all bricks.
     pub cells: u32,
     /// References in all cells.
     pub references: u32,

@@ -2,9 +2,9 @@
 
 use enf_layout::sections::{self, Transform};
 use glam::DVec3;
-use zerocopy::{FromBytes, IntoBytes};
+use zerocopy::IntoBytes;
 
-use super::{BRICK, BrickRecord, GridHeader, LARGEST, MAX_BRICKS};
+use super::{BRICK, BrickRecord, FINER, GridHeader, LARGEST, MAX_BRICKS};
 use crate::mesh::TileMesh;
 
 /// Bytes that a grid may take for its table and header and a few bricks.
@@ -13,6 +13,10 @@ const FIXED_BYTES: u64 = 4096;
 const BYTES_PER_TRIANGLE: u64 = 64;
 /// What one triangle test costs, in cell steps. Measured.
 const TEST_COST: f64 = 2.5;
+/// What walking through the parts of a divided cell costs, in cell steps. Measured.
+const DIVISION_COST: f64 = 40.0;
+/// Shorter lists are not worth a thought.
+const CROWD: usize = 20;
 /// Cells are at least this many tolerances wide, so that inflating them hardly matters.
 const MIN_CELL_DELTAS: f64 = 64.0;
 /// Most cells along an axis.
@@ -175,16 +179,14 @@ fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<V
         ends.push(keys.len() as u32);
     }
 
-    let mut cells = 0;
-    let records: Vec<BrickRecord> = bricks
-        .iter()
-        .map(|&mask| {
-            let first = cells;
-            cells += mask.count_ones();
-            BrickRecord { mask: [mask as u32, (mask >> 32) as u32], first }
-        })
-        .collect();
+    let mut lists = Lists::sorted(&bricks, keys, &ends);
     drop(bricks);
+    drop(ends);
+    let finer = lists.refine(mesh, &raster, [nx, ny, nz], f64::from(plan.delta), limit);
+    let outer_references = lists.references.len() as u32;
+    lists.starts.pop();
+    lists.starts.extend(finer.starts.iter().map(|start| start + outer_references));
+
     let header = GridHeader {
         min: plan.min,
         max: plan.max,
@@ -192,58 +194,197 @@ fn fill(mesh: &TileMesh, plan: &Plan, lattice: &Lattice, limit: u64) -> Option<V
         delta: plan.tolerance,
         bricks: [nx, ny, nz],
         triangles: mesh.len(),
-        cells,
-        references: keys.len() as u32,
+        cells: lists.starts.len() as u32 - 1,
+        references: outer_references + finer.references.len() as u32,
     };
 
-    let lengths = [
-        size_of::<GridHeader>(),
-        size_of_val(&records[..]),
-        4 * (cells as usize + 1),
-        4 * keys.len(),
+    let sections: [([&[u8]; 2], Transform, u32); 4] = [
+        ([header.as_bytes(), &[]], Transform::None, 0),
+        ([lists.records.as_bytes(), finer.records.as_bytes()], Transform::Xor, 3),
+        ([lists.starts.as_bytes(), &[]], Transform::Delta, 1),
+        ([lists.references.as_bytes(), finer.references.as_bytes()], Transform::Delta, 1),
     ];
+    let lengths = sections.map(|([a, b], ..)| a.len() + b.len());
     let bytes = sections::blob_bytes(&lengths);
     if bytes as u64 > limit {
         return None;
     }
     let mut blob = vec![0; bytes];
-    let ranges = sections::write_table(
-        &mut blob,
-        &[
-            (lengths[0], Transform::None, 0),
-            (lengths[1], Transform::Xor, 3),
-            (lengths[2], Transform::Delta, 1),
-            (lengths[3], Transform::Delta, 1),
-        ],
-    );
-    blob[ranges[0].clone()].copy_from_slice(header.as_bytes());
-    blob[ranges[1].clone()].copy_from_slice(records.as_bytes());
-    let (head, tail) = blob.split_at_mut(ranges[3].start);
-    let starts = <[u32]>::mut_from_bytes(&mut head[ranges[2].clone()]).ok()?;
-    let references = <[u32]>::mut_from_bytes(&mut tail[..lengths[3]]).ok()?;
-
-    // Counting sort: ends first, then filled from the back, which leaves the beginnings.
-    let ordinal = |key: u32| {
-        let record = records[(key / 64) as usize];
-        (record.first + (record.mask() & ((1 << (key % 64)) - 1)).count_ones()) as usize
-    };
-    for key in &mut keys {
-        *key = ordinal(*key) as u32;
-        starts[*key as usize] += 1;
-    }
-    let mut total = 0;
-    for start in starts.iter_mut() {
-        total += *start;
-        *start = total;
-    }
-    for triangle in (0..mesh.triangles.len()).rev() {
-        let begin = if triangle > 0 { ends[triangle - 1] as usize } else { 0 };
-        for &key in &keys[begin..ends[triangle] as usize] {
-            starts[key as usize] -= 1;
-            references[starts[key as usize] as usize] = triangle as u32;
-        }
+    let table: [_; 4] = std::array::from_fn(|i| (lengths[i], sections[i].1, sections[i].2));
+    for (range, ([a, b], ..)) in sections::write_table(&mut blob, &table).into_iter().zip(sections)
+    {
+        let (head, tail) = blob[range].split_at_mut(a.len());
+        head.copy_from_slice(a);
+        tail.copy_from_slice(b);
     }
     Some(blob)
+}
+
+/// Bricks, and the lists of their cells.
+struct Lists {
+    records: Vec<BrickRecord>,
+    /// First reference of each occupied cell, and the end.
+    starts: Vec<u32>,
+    references: Vec<u32>,
+}
+
+impl Lists {
+    /// From the cells (brick * 64 + bit) of each triangle, where the next triangle's begin in `ends`.
+    fn sorted(bricks: &[u64], mut keys: Vec<u32>, ends: &[u32]) -> Self {
+        let mut cells = 0;
+        let records: Vec<BrickRecord> =
+            bricks.iter().map(|&mask| record(mask, &mut cells)).collect();
+        // Counting sort: ends first, then filled from the back, which leaves the beginnings.
+        let ordinal = |key: u32| {
+            let record = records[(key / 64) as usize];
+            record.first + (record.mask() & ((1 << (key % 64)) - 1)).count_ones()
+        };
+        let mut starts = vec![0; cells as usize + 1];
+        for key in &mut keys {
+            *key = ordinal(*key);
+            starts[*key as usize] += 1;
+        }
+        let mut total = 0;
+        for start in starts.iter_mut() {
+            total += *start;
+            *start = total;
+        }
+        let mut references = vec![0; keys.len()];
+        for triangle in (0..ends.len()).rev() {
+            let begin = if triangle > 0 { ends[triangle - 1] as usize } else { 0 };
+            for &key in &keys[begin..ends[triangle] as usize] {
+                starts[key as usize] -= 1;
+                references[starts[key as usize] as usize] = triangle as u32;
+            }
+        }
+        Self { records, starts, references }
+    }
+
+    /// Divides crowded cells of the bricks, `counts` of them along the axes, where that saves a ray work, as long as all of
+    /// it stays below `limit` bytes. What they are divided into is returned, the end of its last list included.
+    fn refine(
+        &mut self,
+        mesh: &TileMesh,
+        outer: &Raster,
+        counts: [u32; 3],
+        delta: f64,
+        limit: u64,
+    ) -> Self {
+        let bytes = 12 * self.records.len() + 4 * (self.starts.len() + self.references.len());
+        let mut left = (limit / 2).min(limit.saturating_sub(512 + bytes as u64));
+        let mut finer = Self {
+            records: Vec::new(),
+            starts: Vec::new(),
+            // What is not used is never touched.
+            references: Vec::with_capacity(left as usize / 4),
+        };
+        let width = outer.cell / f64::from(BRICK);
+        if width < MIN_CELL_DELTAS * delta {
+            left = 0;
+        }
+        let mut crowd = Crowd::default();
+        // Lists move to the front as others before them shrink.
+        let (mut read, mut write) = (0, 0);
+        let mut cell = 0;
+        let mut cells = self.starts.len() as u32 - 1;
+        for (index, brick) in (0u32..).zip(&self.records) {
+            let [nx, ny, _] = counts;
+            let at = [index % nx, index / nx % ny, index / nx / ny];
+            let mut mask = brick.mask();
+            while mask != 0 {
+                let bit = mask.trailing_zeros();
+                mask &= mask - 1;
+                let list = read..self.starts[cell + 1] as usize;
+                self.starts[cell] = write as u32;
+                cell += 1;
+                read = list.end;
+                if left > 0 && (CROWD..1 << Crowd::INDEX_BITS).contains(&list.len()) {
+                    let inside = [bit % BRICK, bit / BRICK % BRICK, bit / BRICK / BRICK];
+                    let corner = std::array::from_fn(|i| f64::from(at[i] * BRICK + inside[i]));
+                    let raster = Raster {
+                        min: outer.min + DVec3::from_array(corner) * outer.cell,
+                        cell: width,
+                        margin: 4.0 * delta / width + SLACK,
+                        counts: [BRICK; 3],
+                    };
+                    let triangles = &self.references[list.clone()];
+                    let mask = crowd.divide(mesh, &raster, triangles);
+                    let own = u64::from(mask.count_ones()) + crowd.keys.len() as u64 + 1;
+                    if crowd.pays && 12 + 4 * own <= left {
+                        left -= 12 + 4 * own;
+                        crowd.lists(triangles, &mut finer);
+                        self.references[write] =
+                            FINER | (self.records.len() + finer.records.len()) as u32;
+                        write += 1;
+                        finer.records.push(record(mask, &mut cells));
+                        continue;
+                    }
+                }
+                self.references.copy_within(list.clone(), write);
+                write += list.len();
+            }
+        }
+        self.references.truncate(write);
+        finer.starts.push(finer.references.len() as u32);
+        finer
+    }
+}
+
+/// A brick's record, when `cells` are occupied before it; they become those before the next.
+fn record(mask: u64, cells: &mut u32) -> BrickRecord {
+    let first = *cells;
+    *cells += mask.count_ones();
+    BrickRecord { mask: [mask as u32, (mask >> 32) as u32], first }
+}
+
+/// A crowded cell that is tried in 4 x 4 x 4 parts.
+#[derive(Default)]
+struct Crowd {
+    /// The part, and the place in the cell's list, of each reference.
+    keys: Vec<u32>,
+    /// A ray has less to do in the parts.
+    pays: bool,
+}
+
+impl Crowd {
+    const INDEX_BITS: u32 = 26;
+
+    /// Finds the references of the parts; returns which are occupied.
+    ///
+    /// A ray through a convex body meets a convex part of it as often as their surfaces are to each other. So a triangle
+    /// is tested as often as the box of its parts says, and not once for all rays through the cell.
+    fn divide(&mut self, mesh: &TileMesh, raster: &Raster, triangles: &[u32]) -> u64 {
+        self.keys.clear();
+        let (mut mask, mut tests) = (0u64, 0u32);
+        for (index, &triangle) in (0u32..).zip(triangles) {
+            let (mut low, mut high) = ([BRICK; 3], [0; 3]);
+            raster.cells(mesh.corners(triangle).map(|p| p.as_dvec3()), |x, y, z| {
+                let part = x + BRICK * (y + BRICK * z);
+                mask |= 1 << part;
+                self.keys.push(part << Self::INDEX_BITS | index);
+                for (i, at) in [x, y, z].into_iter().enumerate() {
+                    low[i] = low[i].min(at);
+                    high[i] = high[i].max(at + 1);
+                }
+            });
+            let [a, b, c] = std::array::from_fn(|i| high[i].saturating_sub(low[i]));
+            tests += a * b + b * c + c * a;
+        }
+        let tests = f64::from(tests) / f64::from(3 * BRICK * BRICK);
+        self.pays =
+            mask != 0 && DIVISION_COST + TEST_COST * tests < TEST_COST * triangles.len() as f64;
+        mask
+    }
+
+    /// Appends the lists of the parts.
+    fn lists(&mut self, triangles: &[u32], to: &mut Lists) {
+        self.keys.sort_unstable();
+        for part in self.keys.chunk_by(|a, b| a >> Self::INDEX_BITS == b >> Self::INDEX_BITS) {
+            to.starts.push(to.references.len() as u32);
+            let index = |key: &u32| (key & ((1 << Self::INDEX_BITS) - 1)) as usize;
+            to.references.extend(part.iter().map(|key| triangles[index(key)]));
+        }
+    }
 }
 
 /// Conservative rasterisation: the separating-axis test of a triangle against inflated cells (Schwarz and

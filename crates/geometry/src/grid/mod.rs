@@ -1,7 +1,9 @@
 //! The uniform grid of a tile (Fradin et al. 2005, section 4; Cleary and Wyvill 1988), kept in bricks.
 //!
 //! Rooms are mostly air, so the grid is fine and sparse: a *brick* is a 64-bit mask of its 4 x 4 x 4 cells,
-//! and only cells with a bit own a list of triangles. An empty brick costs twelve bytes and one step.
+//! and only cells with a bit own a list of triangles. An empty brick costs twelve bytes and one step. A cell
+//! where triangles crowd is divided by a brick of its own, if that is worth it (two levels, as Kalojanov,
+//! Billeter and Slusallek 2011).
 //!
 //! A grid is a [`sections`] blob that is used in place, wherever it was loaded; [`enf_layout::grid`]
 //! says what is in it.
@@ -18,7 +20,9 @@ pub use build::{build_grid, grid_build_bytes, grid_bytes_estimate};
 
 pub use enf_layout::grid::{BrickRecord, GridHeader};
 
-use enf_layout::grid::{BRICK, SECTION_BRICKS, SECTION_HEADER, SECTION_REFERENCES, SECTION_STARTS};
+use enf_layout::grid::{
+    BRICK, FINER, SECTION_BRICKS, SECTION_HEADER, SECTION_REFERENCES, SECTION_STARTS,
+};
 use enf_layout::sections::{self, Malformed};
 use glam::Vec3;
 
@@ -77,6 +81,9 @@ impl<'a> GridView<'a> {
     fn check(&self) -> Result<(), String> {
         let h = self.header;
         let triangle_count = self.mesh.len();
+        if triangle_count >= FINER {
+            return Err(format!("no grid has {triangle_count} triangles"));
+        }
         if h.triangles != triangle_count {
             return Err(format!("grid is for {} triangles, not {triangle_count}", h.triangles));
         }
@@ -93,29 +100,44 @@ impl<'a> GridView<'a> {
         if !sane {
             return Err(format!("grid geometry makes no sense: {h:?}"));
         }
-        let bricks: u128 = h.bricks.iter().map(|&b| u128::from(b)).product();
-        if bricks == 0 || bricks > u128::from(MAX_BRICKS) || bricks != self.bricks.len() as u128 {
+        let outer: u128 = h.bricks.iter().map(|&b| u128::from(b)).product();
+        if outer == 0 || outer > u128::from(MAX_BRICKS) || outer > self.bricks.len() as u128 {
             return Err(format!("grid has {} bricks for {:?}", self.bricks.len(), h.bricks));
         }
-        let mut occupied = 0u32;
+        let outer = outer as usize;
+        let (mut occupied, mut divided) = (0u32, 0);
         for (i, brick) in self.bricks.iter().enumerate() {
             if brick.first != occupied {
                 return Err(format!("grid brick {i} starts at cell {}", brick.first));
             }
             occupied += brick.mask().count_ones();
+            if i + 1 == outer {
+                divided = occupied;
+            }
         }
         if occupied != h.cells || self.starts.len() != occupied as usize + 1 {
             return Err(format!("grid has {occupied} cells and {} lists", self.starts.len()));
         }
-        if let Some(i) = self.starts.windows(2).position(|w| w[0] > w[1]) {
+        if let Some(i) = self.starts.windows(2).position(|w| w[0] >= w[1]) {
             return Err(format!("grid cell {i} ends before it begins"));
         }
         let ends = (self.starts[0], self.starts[occupied as usize]);
         if ends != (0, h.references) || h.references as usize != self.references.len() {
             return Err(format!("grid has {} references", self.references.len()));
         }
-        if let Some(i) = self.references.iter().position(|&r| r >= triangle_count) {
-            return Err(format!("grid reference {i} is to triangle {}", self.references[i]));
+        let mut finer = outer;
+        for (cell, range) in self.starts.windows(2).enumerate() {
+            let list = &self.references[range[0] as usize..range[1] as usize];
+            if let ([first], true) = (list, cell < divided as usize)
+                && *first == FINER | finer as u32
+            {
+                finer += 1;
+            } else if let Some(i) = list.iter().position(|&r| r >= triangle_count) {
+                return Err(format!("grid reference {i} of cell {cell} is to {}", list[i]));
+            }
+        }
+        if finer != self.bricks.len() {
+            return Err(format!("grid has {} bricks and uses {finer}", self.bricks.len()));
         }
         Ok(())
     }

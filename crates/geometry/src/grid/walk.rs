@@ -1,6 +1,6 @@
 //! Walking a ray through the bricks and cells (Amanatides and Woo 1987).
 
-use super::{BRICK, GridView, LARGEST};
+use super::{BRICK, BrickRecord, FINER, GridView, LARGEST};
 use crate::query::{Query, Search};
 use crate::ray::Hit;
 
@@ -73,12 +73,14 @@ impl GridView<'_> {
 
         let [nx, ny, nz] = header.bricks.map(|n| n as i32);
         let count = [nx, ny, nz];
-        // Index step per brick along each axis, the far plane's offset, and the cells' bit step.
-        let (mut step, mut ahead) = ([0i32; 3], [0.0; 3]);
+        let mut cells = Cells { start, speed, base, pace, step: [1; 3], ahead: [1.0; 3] };
         for i in 0..3 {
-            step[i] = if direction[i] < 0.0 { -1 } else { 1 };
-            ahead[i] = if direction[i] < 0.0 { 0.0 } else { 1.0 };
+            if direction[i] < 0.0 {
+                cells.step[i] = -1;
+                cells.ahead[i] = 0.0;
+            }
         }
+        let Cells { step, ahead, .. } = cells;
         let stride = [step[0], step[1] * nx, step[2] * nx * ny];
         let edge = f64::from(BRICK);
 
@@ -97,50 +99,12 @@ impl GridView<'_> {
         let mut index = ((brick[2] * ny + brick[1]) * nx + brick[0]) as usize;
         let mut mailboxes = [u32::MAX; MAILBOXES];
         loop {
-            let record = self.bricks[index];
-            let mask = record.mask();
-            if mask != 0 {
-                let mut left = [0i32; 3];
-                let mut exit = [0.0; 3];
-                let mut bit = 0i32;
-                for i in 0..3 {
-                    let corner = f64::from(brick[i]) * edge;
-                    let at = start[i] + speed[i] * enter - corner;
-                    let cell = (at as i32).clamp(0, BRICK as i32 - 1);
-                    exit[i] = base[i] + (corner + f64::from(cell) + ahead[i]) * pace[i];
-                    left[i] = if step[i] < 0 { cell } else { BRICK as i32 - 1 - cell };
-                    bit += cell << (2 * i);
-                }
-                loop {
-                    let axis = first_of(&exit);
-                    let end = exit[axis];
-                    if mask >> bit & 1 != 0 {
-                        let below = mask & ((1u64 << bit) - 1);
-                        let cell = (record.first + below.count_ones()) as usize;
-                        let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
-                        for &triangle in &self.references[range] {
-                            let mailbox = &mut mailboxes[triangle as usize % MAILBOXES];
-                            if *mailbox == triangle {
-                                continue;
-                            }
-                            *mailbox = triangle;
-                            let corners = self.mesh.corner_arrays(triangle);
-                            let global = self.mesh.global[triangle as usize];
-                            search.test(corners, global, triangle);
-                        }
-                        if (ANY && search.found) || f64::from(search.best.t) < end {
-                            return;
-                        }
-                    }
-                    if end >= leave {
-                        return;
-                    }
-                    left[axis] -= 1;
-                    if left[axis] < 0 {
-                        break;
-                    }
-                    bit += step[axis] << (2 * axis);
-                    exit[axis] += pace[axis].abs();
+            let record = &self.bricks[index];
+            if record.mask() != 0 {
+                let corner = brick.map(|b| b * BRICK as i32);
+                let span = [enter, leave];
+                if self.through::<ANY, true>(record, corner, &cells, span, search, &mut mailboxes) {
+                    return;
                 }
             }
             let axis = first_of(&brick_exit);
@@ -157,6 +121,115 @@ impl GridView<'_> {
             brick_exit[axis] += brick_pace[axis];
         }
     }
+
+    /// Through the cells of a brick between two distances; `corner` is its first cell. True when no later cell can matter.
+    #[inline(always)]
+    fn through<const ANY: bool, const OUTER: bool>(
+        &self,
+        record: &BrickRecord,
+        corner: [i32; 3],
+        cells: &Cells,
+        span: [f64; 2],
+        search: &mut Search,
+        mailboxes: &mut [u32; MAILBOXES],
+    ) -> bool {
+        let [enter, leave] = span;
+        let mask = record.mask();
+        let mut left = [0i32; 3];
+        let mut exit = [0.0; 3];
+        let mut bit = 0i32;
+        for i in 0..3 {
+            let corner = f64::from(corner[i]);
+            let at = cells.start[i] + cells.speed[i] * enter - corner;
+            let cell = (at as i32).clamp(0, BRICK as i32 - 1);
+            exit[i] = cells.base[i] + (corner + f64::from(cell) + cells.ahead[i]) * cells.pace[i];
+            left[i] = if cells.step[i] < 0 { cell } else { BRICK as i32 - 1 - cell };
+            bit += cell << (2 * i);
+        }
+        let mut begin = enter;
+        loop {
+            let axis = first_of(&exit);
+            let end = exit[axis];
+            if mask >> bit & 1 != 0 {
+                let below = mask & ((1u64 << bit) - 1);
+                let cell = (record.first + below.count_ones()) as usize;
+                let range = self.starts[cell] as usize..self.starts[cell + 1] as usize;
+                let list = &self.references[range];
+                if OUTER && list[0] & FINER != 0 {
+                    let finer = &self.bricks[(list[0] & !FINER) as usize];
+                    let inside = [bit & 3, bit >> 2 & 3, bit >> 4];
+                    let corner = std::array::from_fn(|i| (corner[i] + inside[i]) * BRICK as i32);
+                    self.divided::<ANY>(
+                        finer,
+                        corner,
+                        cells,
+                        [begin, end.min(leave)],
+                        search,
+                        mailboxes,
+                    );
+                } else {
+                    for &triangle in list {
+                        let mailbox = &mut mailboxes[triangle as usize % MAILBOXES];
+                        if *mailbox == triangle {
+                            continue;
+                        }
+                        *mailbox = triangle;
+                        let corners = self.mesh.corner_arrays(triangle);
+                        let global = self.mesh.global[triangle as usize];
+                        search.test(corners, global, triangle);
+                    }
+                }
+                if (ANY && search.found) || f64::from(search.best.t) < end {
+                    return true;
+                }
+            }
+            if end >= leave {
+                return OUTER;
+            }
+            left[axis] -= 1;
+            if left[axis] < 0 {
+                return false;
+            }
+            bit += cells.step[axis] << (2 * axis);
+            exit[axis] += cells.pace[axis].abs();
+            begin = end;
+        }
+    }
+
+    /// Through a crowded cell.
+    #[inline(never)]
+    fn divided<const ANY: bool>(
+        &self,
+        record: &BrickRecord,
+        corner: [i32; 3],
+        cells: &Cells,
+        span: [f64; 2],
+        search: &mut Search,
+        mailboxes: &mut [u32; MAILBOXES],
+    ) {
+        let edge = f64::from(BRICK);
+        let finer = Cells {
+            start: cells.start.map(|x| x * edge),
+            speed: cells.speed.map(|x| x * edge),
+            pace: cells.pace.map(|x| x / edge),
+            ..*cells
+        };
+        self.through::<ANY, false>(record, corner, &finer, span, search, mailboxes);
+    }
+}
+
+/// A ray in units of cells.
+#[derive(Clone, Copy)]
+struct Cells {
+    /// Where it is at distance 0, and how far it gets in a metre.
+    start: [f64; 3],
+    speed: [f64; 3],
+    /// At which distance it crosses plane 0, and how far the planes are apart, m.
+    base: [f64; 3],
+    pace: [f64; 3],
+    /// Towards which cell it goes along each axis, and which of a cell's two planes is ahead.
+    step: [i32; 3],
+    ahead: [f64; 3],
 }
 
 /// The axis with the smallest value; the first on ties.
