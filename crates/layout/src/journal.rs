@@ -11,7 +11,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 pub enum JournalKind {
     /// An extent was written.
     Extent = 1,
-    /// The extent at (`segment`, `offset`) was consumed and counts no longer.
+    /// The extent of `process` at (`segment`, `offset`) was consumed and counts no longer.
     Consumed = 2,
     /// `count` is how much of (`extent_kind`, `id`)'s own work is done (emission cursor of a tile).
     Cursor = 3,
@@ -44,8 +44,8 @@ pub struct JournalRecord {
     pub segment: u32,
     /// [`crate::segment::Codec`].
     pub codec: u32,
-    /// Zero.
-    pub reserved: u32,
+    /// Process whose extent it is: the journal's own, but for what it consumes of others.
+    pub process: u32,
     /// First byte of the extent in its data file, a multiple of 64; of a commit, where the data ends.
     pub offset: u64,
     /// Bytes stored, without padding.

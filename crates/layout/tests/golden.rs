@@ -86,7 +86,7 @@ fn records() -> Vec<Golden> {
             id: 12,
             segment: 0,
             codec: Codec::ZstdPlanes as u32,
-            reserved: 0,
+            process: 7,
             offset: 4096,
             stored_bytes: 2400,
             raw_bytes: 4800,

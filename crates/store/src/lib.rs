@@ -8,6 +8,7 @@
 //! | How do I write extents so that a kill loses nothing that was committed? | [`writer`] |
 //! | How are bytes packed on their way to the disk? | [`encode`](mod@encode) |
 //! | How do I read, map and check what was written? | [`reader`] |
+//! | What has another process committed to the stage that I write? | [`peer`] |
 //! | What does the seal of a finished stage say? | [`seal`] |
 //! | Where do I sort what does not fit in memory? | [`scratch`] |
 //! | What went wrong, where, and what helps? | [`error`] |
@@ -24,6 +25,7 @@ mod files;
 pub mod identity;
 mod load;
 mod map;
+pub mod peer;
 pub mod reader;
 mod replay;
 pub mod scratch;
@@ -37,6 +39,7 @@ pub use error::StoreError;
 pub use identity::Identity;
 pub use load::{Extent, ExtentReader};
 pub use map::{Mapped, give_back_free_memory, tune_allocator};
+pub use peer::{Peer, PeerEvent};
 pub use reader::{StageReader, Verified, verify};
 pub use scratch::ScratchFile;
 pub use writer::StageWriter;

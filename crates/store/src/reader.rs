@@ -3,6 +3,7 @@
 //! Opening checks the seal, every file's length and the whole journal; reading checks the extent. So
 //! nothing is ever used unchecked, and nothing is checked that is not used ([`verify`] does that).
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use enf_layout::sections::Malformed;
@@ -11,7 +12,7 @@ use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use crate::files::{self, Named, Role};
 use crate::load::{self, Extent, ExtentReader};
 use crate::map::{self, Mapped};
-use crate::replay::{self, State, Tail};
+use crate::replay::{self, Ranges, State, Tail};
 use crate::seal::{self, Seal, SealedFile};
 use crate::{Buffer, Identity, MemoryBudget, Reservation, StoreDir, StoreError};
 
@@ -99,6 +100,15 @@ impl StageReader {
             files: Vec::new(),
             table: None,
         };
+        let mut consumed: BTreeMap<u32, Ranges> = BTreeMap::new();
+        for (_, state) in &states {
+            for (&process, ranges) in &state.consumed {
+                let all = consumed.entry(process).or_default();
+                for (start, end) in ranges.iter() {
+                    all.add(start, end);
+                }
+            }
+        }
         for (data, state) in states {
             let first = state.live.values().find(|e| e.kind == ExtentKind::Identity);
             let first = first.ok_or_else(|| data.data.corrupt(files::HEADER, "no identity"))?;
@@ -108,7 +118,9 @@ impl StageReader {
                 return Err(data.data.corrupt(first.offset, detail));
             }
             reader.identity = identity;
-            reader.extents.extend(state.live.values());
+            let others = consumed.get(&data.process);
+            let live = |e: &&Extent| others.is_none_or(|c| !c.covers(e.offset, e.end()));
+            reader.extents.extend(state.live.values().filter(live));
             reader.cursors.extend(state.cursors.iter().map(|(&(kind, id), &n)| (kind, id, n)));
             reader.files.push(data);
         }

@@ -14,7 +14,7 @@ use crate::{Extent, ExtentReader, Identity, MemoryBudget, StoreDir, StoreError};
 pub(crate) const RECORD: u64 = size_of::<JournalRecord>() as u64;
 
 /// Records that are read in one go.
-const BATCH: u64 = 4096;
+pub(crate) const BATCH: u64 = 4096;
 
 /// An identity longer than this is no identity.
 const MAX_IDENTITY: u64 = 1 << 20;
@@ -44,6 +44,11 @@ impl Ranges {
         (start, end)
     }
 
+    /// Whether all of `start..end` was added.
+    pub(crate) fn covers(&self, start: u64, end: u64) -> bool {
+        self.0.range(..=start).next_back().is_some_and(|(_, &e)| e >= end)
+    }
+
     pub(crate) fn iter(&self) -> impl Iterator<Item = (u64, u64)> {
         self.0.iter().map(|(&start, &end)| (start, end))
     }
@@ -58,6 +63,8 @@ pub(crate) struct State {
     pub(crate) cursors: BTreeMap<(ExtentKind, u32), u64>,
     /// Where consumed extents lay, in the data file.
     pub(crate) dead: Ranges,
+    /// The same of what it consumed of other processes, in their data files.
+    pub(crate) consumed: BTreeMap<u32, Ranges>,
     /// End of the last extent, in the data file.
     pub(crate) data_end: u64,
     /// Records up to and with the last commit.
@@ -96,7 +103,7 @@ pub(crate) fn blank(sequence: u64, kind: JournalKind) -> JournalRecord {
         id: 0,
         segment: 0,
         codec: 0,
-        reserved: 0,
+        process: 0,
         offset: 0,
         stored_bytes: 0,
         raw_bytes: 0,
@@ -114,6 +121,7 @@ pub(crate) fn record_of(sequence: u64, kind: JournalKind, extent: &Extent) -> Jo
         id: extent.id,
         segment: extent.segment,
         codec: extent.codec as u32,
+        process: extent.process,
         offset: extent.offset,
         stored_bytes: extent.stored_bytes,
         raw_bytes: extent.raw_bytes,
@@ -124,7 +132,7 @@ pub(crate) fn record_of(sequence: u64, kind: JournalKind, extent: &Extent) -> Jo
 }
 
 /// The extent that a record names, every number bounded; `Err` says what is wrong.
-fn extent_of(r: &JournalRecord, stage: StageKind, process: u32) -> Result<Extent, String> {
+pub(crate) fn extent_of(r: &JournalRecord, stage: StageKind) -> Result<Extent, String> {
     let kind = ExtentKind::from_u32(r.extent_kind)
         .ok_or_else(|| format!("unknown extent kind {}", r.extent_kind))?;
     let codec = Codec::from_u32(r.codec).ok_or_else(|| format!("unknown codec {}", r.codec))?;
@@ -150,7 +158,7 @@ fn extent_of(r: &JournalRecord, stage: StageKind, process: u32) -> Result<Extent
         kind,
         id: r.id,
         stage,
-        process,
+        process: r.process,
         segment: r.segment,
         offset: r.offset,
         stored_bytes: r.stored_bytes,
@@ -165,16 +173,17 @@ impl State {
     fn apply(&mut self, r: &JournalRecord, stage: StageKind, process: u32) -> Result<(), String> {
         match JournalKind::from_u32(r.kind) {
             Some(JournalKind::Extent) => {
-                let extent = extent_of(r, stage, process)?;
-                if extent.offset != self.data_end {
-                    let (at, end) = (extent.offset, self.data_end);
-                    return Err(format!("an extent at {at} where the data ended at {end}"));
-                }
-                self.data_end = extent.end();
+                let extent = extent_of(r, stage)?;
+                self.data_end = follows(&extent, process, self.data_end)?;
                 self.live.insert(key(&extent), extent);
             }
             Some(JournalKind::Consumed) => {
-                let extent = extent_of(r, stage, process)?;
+                let extent = extent_of(r, stage)?;
+                if extent.process != process {
+                    let consumed = self.consumed.entry(extent.process).or_default();
+                    consumed.add(extent.offset, extent.end());
+                    return Ok(());
+                }
                 if self.live.remove(&key(&extent)) != Some(extent) {
                     return Err(format!("it consumes {}, which is not there", extent.name()));
                 }
@@ -195,6 +204,17 @@ impl State {
         }
         Ok(())
     }
+}
+
+/// Where the data of `process` end with an extent that must begin where they ended before.
+pub(crate) fn follows(extent: &Extent, process: u32, data_end: u64) -> Result<u64, String> {
+    if (extent.process, extent.offset) != (process, data_end) {
+        let (of, at) = (extent.process, extent.offset);
+        return Err(format!(
+            "an extent of process {of} at {at} where the data ended at {data_end}"
+        ));
+    }
+    Ok(extent.end())
 }
 
 /// Replays the journal of one process. `None`: nothing was ever committed (only when it may be torn).
@@ -304,7 +324,7 @@ pub(crate) fn first_extent(
     if commit.kind != JournalKind::Commit as u32 {
         return Ok(None);
     }
-    let extent = extent_of(&extent, stage, process)
+    let extent = extent_of(&extent, stage)
         .map_err(|detail| journal.corrupt(HEADER, format!("journal record 0: {detail}")))?;
     Ok(Some((extent, header)))
 }

@@ -5,6 +5,7 @@
 
 use std::fmt;
 use std::sync::Arc;
+use std::time::Duration;
 
 use enf_layout::journal::{JournalKind, JournalRecord};
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
@@ -16,6 +17,7 @@ use zerocopy::IntoBytes;
 use crate::encode::{Encoded, Encoder};
 use crate::files::{self, HEADER, Named, Role, WINDOW, hash128};
 use crate::load::{self, Extent, ExtentReader};
+use crate::peer::Peer;
 use crate::reader;
 use crate::replay::{self, Key, Ranges, State, Tail, blank, finish, key, record_of};
 use crate::seal::{self, SealedFile};
@@ -160,10 +162,18 @@ impl StageWriter {
         self.log.append(kind, id, count, &encoded.stored, encoded.raw_bytes, encoded.codec)
     }
 
-    /// Takes an extent off the live ones with the next commit. One that is not live is left alone, so twice is
-    /// as good as once.
+    /// Takes an extent off the live ones with the next commit, be it this process's own or another's. One that is not live is left
+    /// alone, so twice is as good as once. What another has written must be [made durable](Peer::sync) before that commit.
     pub fn consume(&mut self, extent: &Extent) {
         let log = &mut self.log;
+        if extent.process != log.data.process {
+            let consumed = log.state.consumed.entry(extent.process).or_default();
+            if !consumed.covers(extent.offset, extent.end()) {
+                consumed.add(extent.offset, extent.end());
+                log.pending.push(record_of(log.sequence(), JournalKind::Consumed, extent));
+            }
+            return;
+        }
         if log.state.live.get(&key(extent)) == Some(extent) {
             log.state.live.remove(&key(extent));
             log.pending.push(record_of(log.sequence(), JournalKind::Consumed, extent));
@@ -191,6 +201,30 @@ impl StageWriter {
     /// and the stage resumes from the commit before.
     pub fn commit(&mut self) -> Result<(), StoreError> {
         self.log.commit()
+    }
+
+    /// The number of the process that this writer is.
+    pub fn process(&self) -> u32 {
+        self.log.data.process
+    }
+
+    /// Other processes that have begun, or wanted to begin, this stage.
+    ///
+    /// # Errors
+    /// [`StoreError::Io`].
+    pub fn others(&self) -> Result<Vec<u32>, StoreError> {
+        let mut processes = self.log.data.store.processes(self.log.data.stage)?;
+        processes.retain(|&process| process != self.log.data.process);
+        Ok(processes)
+    }
+
+    /// What another process commits to this stage; `None` as long as it has not committed anything.
+    ///
+    /// # Errors
+    /// [`StoreError::Corrupt`] when it writes for other inputs or flags, [`StoreError::Io`].
+    pub fn peer(&self, process: u32) -> Result<Option<Peer>, StoreError> {
+        let log = &self.log;
+        Peer::open(&log.data.store, log.data.stage, process, log.state.made_from)
     }
 
     /// The live extents, pending ones included, by kind, id and offset.
@@ -264,6 +298,14 @@ impl StageWriter {
     /// [`StoreError::Busy`] when another process is still writing the stage, [`StoreError::Corrupt`] when
     /// bytes that have to be read again are not what was written, [`StoreError::Io`].
     pub fn seal(mut self) -> Result<(), StoreError> {
+        self.try_seal()
+    }
+
+    /// [`seal`](Self::seal), to be tried again while other processes still write the stage.
+    ///
+    /// # Errors
+    /// As `seal`.
+    pub fn try_seal(&mut self) -> Result<(), StoreError> {
         let log = &mut self.log;
         log.commit()?;
         let (store, stage) = (log.data.store.clone(), log.data.stage);
@@ -300,10 +342,18 @@ impl fmt::Debug for StageWriter {
 }
 
 fn lock_journal(store: &StoreDir, stage: StageKind, process: u32) -> Result<Named, StoreError> {
+    // Another process may be looking whether somebody is alive here, which takes a lock for a moment.
+    let mut patience = 10;
     loop {
         let journal = Named::open_or_create(store.file(stage, Role::Journal { process }))?;
-        if journal.lock()? {
-            return Ok(journal);
+        match journal.lock() {
+            Ok(true) => return Ok(journal),
+            Ok(false) => {}
+            Err(StoreError::Busy { .. }) if patience > 0 => {
+                patience -= 1;
+                std::thread::sleep(Duration::from_millis(10));
+            }
+            Err(error) => return Err(error),
         }
     }
 }

@@ -3,6 +3,7 @@
 mod corruption;
 mod crash;
 mod golden;
+mod peers;
 mod roundtrip;
 
 use std::fs;
