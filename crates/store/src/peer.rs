@@ -3,6 +3,8 @@
 //! Each process has its own data file and journal, and nobody writes into another's: what a process does with the extents of another
 //! stands in its own journal. So all that is needed is to read journals as they grow, commit by commit.
 
+use std::path::Path;
+
 use enf_layout::journal::{JournalKind, JournalRecord};
 use enf_layout::segment::{ExtentKind, StageKind};
 use zerocopy::FromBytes;
@@ -61,6 +63,11 @@ impl Peer {
     /// Its number.
     pub fn process(&self) -> u32 {
         self.data.process
+    }
+
+    /// Its journal.
+    pub fn path(&self) -> &Path {
+        &self.journal.path
     }
 
     /// Tells `event` of everything that was committed since the last time.

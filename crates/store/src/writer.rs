@@ -203,6 +203,12 @@ impl StageWriter {
         self.log.commit()
     }
 
+    /// Whether this process has consumed an extent of another.
+    pub fn has_consumed(&self, extent: &Extent) -> bool {
+        let consumed = self.log.state.consumed.get(&extent.process);
+        consumed.is_some_and(|c| c.covers(extent.offset, extent.end()))
+    }
+
     /// The number of the process that this writer is.
     pub fn process(&self) -> u32 {
         self.log.data.process

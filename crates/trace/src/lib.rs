@@ -6,12 +6,13 @@
 #![forbid(unsafe_code)]
 
 mod recorder;
+mod share;
 mod tracer;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use clap::Args;
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
@@ -25,11 +26,15 @@ use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler,
     Selection, interrupt, parse_count, say,
 };
-use enf_store::{Buffer, Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
+use enf_store::{
+    Buffer, Extent, Identity, MemoryBudget, Reservation, StageReader, StageWriter, StoreDir,
+    StoreError,
+};
 use enf_transport::photon::Group;
 
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
+pub use share::Share;
 pub use tracer::add_ledger;
 use tracer::{Context, Job, PROBES_PER_LIGHT, Waiting, Work};
 
@@ -39,6 +44,10 @@ const JOB_PHOTONS: u64 = 4096;
 const VISIT_PHOTONS: u64 = 1 << 20;
 /// A kill loses at most these bytes of work, or the time that `--epoch` says.
 const EPOCH_BYTES: u64 = 256 << 20;
+/// Most time between commits when others wait for them.
+const SHARED_EPOCH: Duration = Duration::from_secs(1);
+/// Who is waited for is said this often.
+const SAY_EVERY: Duration = Duration::from_secs(10);
 /// Default rows and records per row of the table of incoming photons (the paper, section 7.2).
 const QUEUE_ROWS: usize = 64;
 const QUEUE_BLOCK: usize = 10_000;
@@ -87,6 +96,10 @@ pub struct TraceArgs {
     /// Seconds between commits: a kill loses at most this much work (never changes a result)
     #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = parse_epoch)]
     pub epoch: Duration,
+    /// This is process I, from 0, of N that trace the store together, on one machine or on several that share the file system; start all N
+    /// (never changes a result)
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    pub share: Share,
     /// Flags of the queue.
     #[command(flatten)]
     pub queue: QueueArgs,
@@ -156,15 +169,20 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
         return Err(Failure::usage("--photons-per-light takes 1 to 4294967295"));
     }
 
+    if common.process != 0 {
+        return Err(Failure::usage("enf-trace takes --share I/N in the place of --process"));
+    }
+
     let mut identity = session::inherit(&store, StageKind::Partition)?;
     identity.push("seed", common.seed);
     identity.push("photons-per-light", cli.trace.photons());
     let rooms = tables.rooms().len() as u32;
+    let share = cli.trace.share;
     // Refused before anything is begun.
     let plan = || Queues::reserve(cli, &session.budget, &tables, &grid);
     let queues =
         if session::may_work(&store, StageKind::Trace, cli.force) { Some(plan()?) } else { None };
-    match session::begin(&store, StageKind::Trace, common.process, &identity, cli.force)? {
+    match session::begin(&store, StageKind::Trace, share.process, &identity, cli.force)? {
         Begin::Finished => {
             say(common, "nothing to do, every photon is stored already");
             let reader = StageReader::open(&store, StageKind::Trace)?;
@@ -176,7 +194,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
                 Some(queues) => queues,
                 None => plan()?,
             };
-            let totals = trace(cli, &mut session, &tables, &grid, *writer, &queues)?;
+            let totals = trace(cli, &mut session, &tables, &grid, (*writer, &identity), &queues)?;
             report(cli, &mut session, &tables, &totals);
         }
     }
@@ -248,9 +266,10 @@ fn trace(
     session: &mut Session,
     tables: &Tables,
     grid: &StageReader,
-    writer: enf_store::StageWriter,
+    (writer, identity): (StageWriter, &Identity),
     shapes: &Queues,
 ) -> Result<Totals> {
+    let share = cli.trace.share;
     let (common, queue) = (&cli.common, &cli.trace.queue);
     let budget = session.budget.clone();
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
@@ -258,6 +277,7 @@ fn trace(
     let resumed = writer.resumed();
     let recorder = Recorder::new(
         writer,
+        share,
         &budget,
         RowTable::new(rows, block),
         RowTable::new(photon_rows, photon_block),
@@ -325,7 +345,9 @@ fn trace(
             finished,
             messages,
             block,
-            epoch: cli.trace.epoch,
+            // Others wait for what they can see only when it is committed.
+            epoch: if share.of > 1 { cli.trace.epoch.min(SHARED_EPOCH) } else { cli.trace.epoch },
+            share,
             cursors,
             scheduler: Scheduler::new(queue.schedule, tables.tiles().len() as u32, block as u64),
             lane: timeline.lane("schedule"),
@@ -340,7 +362,8 @@ fn trace(
     });
     let recorder = recorder?;
     let loads = driven?;
-    let totals = recorder.seal(tables.rooms().len() as u32)?;
+    let store = tables.partition.store();
+    let totals = recorder.seal(store, identity, tables.rooms().len() as u32)?;
     record_loads(session, tables, &loads);
     Ok(totals)
 }
@@ -355,6 +378,7 @@ struct Driver<'a> {
     messages: Sender<Message>,
     block: usize,
     epoch: Duration,
+    share: Share,
     cursors: BTreeMap<u32, u64>,
     scheduler: Scheduler,
     lane: enf_stage::Lane,
@@ -378,7 +402,7 @@ impl Driver<'_> {
 
     fn drive(&mut self, waiting: &BTreeMap<u32, u64>) -> Result<()> {
         let tables = self.context.tables;
-        for tile in 0..tables.tiles().len() as u32 {
+        for tile in (0..tables.tiles().len() as u32).filter(|&tile| self.share.owns(tile)) {
             let left = self.starts(tile) - self.cursors.get(&tile).copied().unwrap_or(0);
             let pending = left + waiting.get(&tile).copied().unwrap_or(0);
             if pending > 0 {
@@ -394,7 +418,12 @@ impl Driver<'_> {
         let progress = Progress::new(self.common, "trace", Some(total), "photons");
         loop {
             let cache = &self.cache;
-            let Some(tile) = self.scheduler.next(&|t| cache.is_resident(t)) else { break };
+            let Some(tile) = self.scheduler.next(&|t| cache.is_resident(t)) else {
+                if self.share.of == 1 || self.wait_for_others()? {
+                    break;
+                }
+                continue;
+            };
             if let Some(signal) = interrupt::interrupted() {
                 self.ask(|reply| Message::Commit { reply })??;
                 return Err(Failure::interrupted(signal));
@@ -423,6 +452,9 @@ impl Driver<'_> {
                 tables.tiles()[tile as usize].room,
                 100.0 * status.finished_w / emitted_w.max(f64::MIN_POSITIVE)
             ));
+            if self.share.of > 1 {
+                self.take_news(false)?;
+            }
             if status.uncommitted > EPOCH_BYTES
                 || (status.uncommitted > 0 && status.committed_at.elapsed() > self.epoch)
             {
@@ -432,6 +464,60 @@ impl Driver<'_> {
         }
         progress.finish();
         Ok(())
+    }
+
+    /// What others have parked here and how far they are, at once or when it is time to look; whether anything is in transit anywhere.
+    fn take_news(&mut self, now: bool) -> Result<bool> {
+        let status = self.ask(|reply| Message::Poll { now, reply })??;
+        if let Some(error) = status.failure {
+            return Err(error.into());
+        }
+        for (&to, &count) in &status.parked {
+            self.scheduler.add(to, count);
+        }
+        for &(tile, value) in &status.cursors {
+            let known = self.cursors.entry(tile).or_default();
+            *known = value.max(*known);
+        }
+        Ok(status.in_transit)
+    }
+
+    /// Nothing is left to do here: shows others what was done, and waits until there is something again (false) or the trace has ended everywhere
+    /// (true).
+    fn wait_for_others(&mut self) -> Result<bool> {
+        self.ask(|reply| Message::Commit { reply })??;
+        let (mut pause, mut said) = (Duration::from_millis(5), Instant::now());
+        loop {
+            let in_transit = self.take_news(true)?;
+            if self.scheduler.total() > 0 {
+                return Ok(false);
+            }
+            let done =
+                |tile: &u32| self.cursors.get(tile).copied().unwrap_or(0) == self.starts(*tile);
+            let late = (0..self.context.tables.tiles().len() as u32).find(|tile| !done(tile));
+            if late.is_none() && !in_transit {
+                return Ok(true);
+            }
+            if let Some(signal) = interrupt::interrupted() {
+                self.ask(|reply| Message::Commit { reply })??;
+                return Err(Failure::interrupted(signal));
+            }
+            if said.elapsed() > SAY_EVERY {
+                said = Instant::now();
+                let of = self.share.of;
+                say(
+                    self.common,
+                    match late {
+                        Some(tile) => format!("waiting for --share {}/{of}", tile % of),
+                        None => "waiting for photons that other processes have taken up".into(),
+                    },
+                );
+            }
+            let span = self.lane.io("wait for other processes", 0u32);
+            std::thread::sleep(pause);
+            drop(span);
+            pause = (2 * pause).min(share::POLL_EVERY);
+        }
     }
 
     /// Hands out what waits at the tile and what starts there, at most [`VISIT_PHOTONS`]; returns what is left.

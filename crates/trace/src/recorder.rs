@@ -1,18 +1,24 @@
 //! The one owner of everything that a trace writes: the table of incoming photons (the paper's `TP`), the
-//! photon rows, the logs and the journal. Tracers send it blocks through a channel; nobody locks anything.
+//! photon rows, the logs and the journal. Tracers send it blocks through a channel; nobody locks anything. What other
+//! processes do with the same trace comes in here as well.
 
 use std::collections::BTreeMap;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender};
 use enf_layout::journal::{LedgerRecord, LightPairRecord, PassageRecord};
 use enf_layout::photon::PhotonRecord;
+use enf_layout::segment::StageKind;
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_layout::transit::TransitRecord;
 use enf_stage::rowtable::RowTable;
-use enf_store::{Buffer, Extent, MemoryBudget, StageReader, StageWriter, StoreError};
+use enf_stage::{Failure, interrupt};
+use enf_store::{
+    Buffer, Extent, Identity, MemoryBudget, StageReader, StageWriter, StoreDir, StoreError,
+};
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, Share};
 use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
 
 /// What the recorder is asked to do.
@@ -30,6 +36,8 @@ pub(crate) enum Message {
         cursor: Option<(u32, u64)>,
         reply: Sender<Status>,
     },
+    /// What other processes have committed, if it is time to look.
+    Poll { now: bool, reply: Sender<Result<Status, StoreError>> },
     /// Make everything durable.
     Commit { reply: Sender<Result<(), StoreError>> },
 }
@@ -42,8 +50,12 @@ pub(crate) struct Taken {
 
 /// What a visit changed, for the scheduler.
 pub(crate) struct Status {
-    /// Records newly parked, by tile.
+    /// Records newly parked at own tiles, by tile.
     pub(crate) parked: BTreeMap<u32, u64>,
+    /// How far others are with the emission at their tiles, as far as that is new.
+    pub(crate) cursors: Vec<(u32, u64)>,
+    /// Something that is committed is in transit, here or in another process.
+    pub(crate) in_transit: bool,
     /// Photons whose path has ended, since the start of the trace.
     pub(crate) finished: u64,
     /// Flux of them, W over all channels.
@@ -108,6 +120,12 @@ impl Totals {
 /// See the module.
 pub(crate) struct Recorder {
     writer: StageWriter,
+    share: Share,
+    others: Others,
+    /// Photons of others were consumed since the last commit.
+    built_on_others: bool,
+    /// How far others are with emission, by tile.
+    foreign_cursors: BTreeMap<u32, u64>,
     budget: MemoryBudget,
     transit: RowTable<TransitRecord>,
     photons: RowTable<PhotonRecord>,
@@ -130,12 +148,17 @@ impl Recorder {
     /// Takes up where the journal ends.
     pub(crate) fn new(
         writer: StageWriter,
+        share: Share,
         budget: &MemoryBudget,
         transit: RowTable<TransitRecord>,
         photons: RowTable<PhotonRecord>,
     ) -> Result<Self, StoreError> {
         let mut recorder = Self {
             writer,
+            share,
+            others: Others::new(share),
+            built_on_others: false,
+            foreign_cursors: BTreeMap::new(),
             budget: budget.clone(),
             transit,
             photons,
@@ -155,7 +178,7 @@ impl Recorder {
         let extents: Vec<Extent> = recorder.writer.extents().copied().collect();
         for extent in extents {
             match extent.kind {
-                ExtentKind::Transit => {
+                ExtentKind::Transit if share.owns(extent.id) => {
                     recorder.waiting.entry(extent.id).or_default().push(extent);
                 }
                 ExtentKind::Ledger => {
@@ -182,7 +205,38 @@ impl Recorder {
                 _ => {}
             }
         }
+        // Others are told how the trace is shared before anything is done.
+        if share.of > 1 || !recorder.writer.others()?.is_empty() {
+            recorder.writer.cursor(ExtentKind::Identity, 0, u64::from(share.of));
+            recorder.writer.commit()?;
+        }
+        recorder.poll()?;
+        while !recorder.others.agree(FIRST_PATIENCE)? {
+            std::thread::sleep(POLL_EVERY / 4);
+            recorder.poll()?;
+        }
+        recorder.parked.clear();
         Ok(recorder)
+    }
+
+    /// Takes note of what others have committed; returns how far they are with emission.
+    fn poll(&mut self) -> Result<Vec<(u32, u64)>, StoreError> {
+        let news = self.others.poll(&self.writer)?;
+        for extent in &news.consumed {
+            self.writer.consume(extent);
+            if let Some(list) = self.waiting.get_mut(&extent.id) {
+                list.retain(|e| e != extent);
+            }
+        }
+        for extent in news.waiting {
+            *self.parked.entry(extent.id).or_default() += extent.count;
+            self.waiting.entry(extent.id).or_default().push(extent);
+        }
+        for &(tile, value) in &news.cursors {
+            let known = self.foreign_cursors.entry(tile).or_default();
+            *known = value.max(*known);
+        }
+        Ok(news.cursors)
     }
 
     fn records<T>(&self, extent: &Extent) -> Result<Vec<T>, StoreError>
@@ -197,12 +251,14 @@ impl Recorder {
     pub(crate) fn resume_state(&self) -> (BTreeMap<u32, u64>, BTreeMap<u32, u64>) {
         let waiting =
             self.waiting.iter().map(|(&t, e)| (t, e.iter().map(|e| e.count).sum())).collect();
-        let cursors = self
-            .writer
-            .cursors()
-            .filter(|c| c.0 == ExtentKind::Transit)
-            .map(|(_, tile, value)| (tile, value))
-            .collect();
+        // A tile may have had another owner in an earlier run.
+        let mut cursors = self.foreign_cursors.clone();
+        for (kind, tile, value) in self.writer.cursors() {
+            if kind == ExtentKind::Transit {
+                let known = cursors.entry(tile).or_default();
+                *known = value.max(*known);
+            }
+        }
         (waiting, cursors)
     }
 
@@ -224,7 +280,11 @@ impl Recorder {
                     let _ = reply.send(Taken { memory, extents });
                 }
                 Message::Read { extent, reply } => {
-                    let read = self.writer.read(&extent, &self.budget, "incoming photons");
+                    const WHAT: &str = "incoming photons";
+                    let read = self
+                        .others
+                        .read(&extent, &self.budget, WHAT)
+                        .unwrap_or_else(|| self.writer.read(&extent, &self.budget, WHAT));
                     let _ = reply.send(read.and_then(|buffer| {
                         buffer.as_slice_of::<TransitRecord>()?;
                         Ok(buffer)
@@ -233,6 +293,8 @@ impl Recorder {
                 Message::Visited { consumed, unused, cursor, reply } => {
                     for extent in &consumed {
                         self.writer.consume(extent);
+                        self.others.consumed(extent);
+                        self.built_on_others |= extent.process != self.writer.process();
                     }
                     if !unused.1.is_empty() {
                         let list = self.waiting.entry(unused.0).or_default();
@@ -243,6 +305,17 @@ impl Recorder {
                         self.writer.cursor(ExtentKind::Transit, tile, value);
                     }
                     let _ = reply.send(self.status());
+                }
+                Message::Poll { now, reply } => {
+                    let _ = reply.send(match now || self.others.due() {
+                        true => self.poll().map(|cursors| {
+                            let own = |e: &&Extent| e.kind == ExtentKind::Transit;
+                            let in_transit =
+                                self.others.in_transit() || self.writer.extents().any(|e| own(&e));
+                            Status { cursors, in_transit, ..self.status() }
+                        }),
+                        false => Ok(self.status()),
+                    });
                 }
                 Message::Commit { reply } => {
                     let _ = reply.send(match self.failure.take() {
@@ -264,6 +337,8 @@ impl Recorder {
         }
         Status {
             parked: std::mem::take(&mut self.parked),
+            cursors: Vec::new(),
+            in_transit: true,
             finished,
             finished_w,
             uncommitted: self.uncommitted,
@@ -284,7 +359,9 @@ impl Recorder {
             })?;
         }
         for (tile, block) in &products.parked {
-            *self.parked.entry(*tile).or_default() += block.len() as u64;
+            if self.share.owns(*tile) {
+                *self.parked.entry(*tile).or_default() += block.len() as u64;
+            }
             transit.push(*tile, block, &mut |tile, records: &[TransitRecord]| {
                 *uncommitted += size_of_val(records) as u64;
                 self.spilled_blocks += 1;
@@ -292,7 +369,9 @@ impl Recorder {
                 let bytes = records.as_bytes();
                 let count = records.len() as u64;
                 let extent = writer.append(ExtentKind::Transit, tile, count, bytes, Codec::Raw)?;
-                waiting.entry(tile).or_default().push(extent);
+                if self.share.owns(tile) {
+                    waiting.entry(tile).or_default().push(extent);
+                }
                 Ok::<(), StoreError>(())
             })?;
         }
@@ -328,7 +407,9 @@ impl Recorder {
             let count = records.len() as u64;
             let extent =
                 writer.append(ExtentKind::Transit, tile, count, records.as_bytes(), Codec::Raw)?;
-            waiting.entry(tile).or_default().push(extent);
+            if self.share.owns(tile) {
+                waiting.entry(tile).or_default().push(extent);
+            }
             Ok::<(), StoreError>(())
         })?;
         let epoch = std::mem::take(&mut self.epoch);
@@ -346,37 +427,114 @@ impl Recorder {
         append(writer, ExtentKind::Ledger, 0, &ledger)?;
         append(writer, ExtentKind::Passages, 0, &passages)?;
         append(writer, ExtentKind::LightPairs, 0, &pairs)?;
+        if std::mem::take(&mut self.built_on_others) {
+            self.others.sync()?;
+        }
         writer.commit()?;
         self.uncommitted = 0;
         self.committed_at = Instant::now();
         Ok(())
     }
 
-    /// Writes the light sets and seals the stage.
-    pub(crate) fn seal(mut self, rooms: u32) -> Result<Totals, StoreError> {
+    /// Writes the light sets and seals the stage. Of several processes the lowest that is alive does that, when the others have
+    /// come to the end as well; they wait for it.
+    pub(crate) fn seal(
+        mut self,
+        store: &StoreDir,
+        identity: &Identity,
+        rooms: u32,
+    ) -> Result<Totals, Failure> {
         if let Some(error) = self.failure.take() {
-            return Err(error);
+            return Err(error.into());
         }
         self.commit()?;
-        for room in 0..rooms {
-            let lights: Vec<LightPairRecord> = self
-                .sees
-                .range((room, 0)..=(room, u32::MAX))
-                .map(|(&(room, light), &photons)| LightPairRecord { room, light, photons })
-                .collect();
-            append(&mut self.writer, ExtentKind::LightSet, room, &lights)?;
+        let Self { writer, others, budget, mut ledger, mut passages, mut sees, .. } = self;
+        let process = writer.process();
+        let mut writer = Some(writer);
+        let mut written = false;
+        loop {
+            if let Some(signal) = interrupt::interrupted() {
+                return Err(Failure::interrupted(signal));
+            }
+            let mut lower = others.peers().iter().filter(|p| p.process() < process);
+            if lower.try_fold(false, |live, p| Ok::<_, StoreError>(live || p.is_live()?))? {
+                // It seals what nobody writes.
+                (writer, written) = (None, false);
+            } else {
+                let again = || StageWriter::open(store, StageKind::Trace, process, identity);
+                match writer.take().map_or_else(again, Ok) {
+                    Ok(mut own) => {
+                        if !written {
+                            if others.any() {
+                                let reader = StageReader::open_unsealed(store, StageKind::Trace)?;
+                                sees = light_pairs(&reader, &budget)?;
+                                let old = reader.extents(ExtentKind::LightSet).to_vec();
+                                old.iter().for_each(|extent| own.consume(extent));
+                            }
+                            write_light_sets(&mut own, &sees, rooms)?;
+                            written = true;
+                        }
+                        match own.try_seal() {
+                            Ok(()) => break,
+                            Err(StoreError::Busy { .. }) => writer = Some(own),
+                            Err(error) => return Err(error.into()),
+                        }
+                    }
+                    Err(StoreError::Sealed { .. }) => break,
+                    Err(StoreError::Busy { .. }) => {}
+                    Err(error) => return Err(error.into()),
+                }
+            }
+            std::thread::sleep(Duration::from_millis(20));
         }
-        let totals = Totals {
-            ledger: self.ledger,
-            passages: self.passages,
+        if others.any() {
+            let reader = StageReader::open(store, StageKind::Trace)?;
+            let all = Totals::read(&reader, &budget)?;
+            (ledger, passages) = (all.ledger, all.passages);
+        }
+        Ok(Totals {
+            ledger,
+            passages,
             evictions: self.transit.evictions(),
             spilled_blocks: self.spilled_blocks,
             spilled_records: self.spilled_records,
             traced: self.traced,
-        };
-        self.writer.seal()?;
-        Ok(totals)
+        })
     }
+}
+
+/// The pairs of rooms and lights that see each other, of all epochs and processes.
+fn light_pairs(
+    reader: &StageReader,
+    budget: &MemoryBudget,
+) -> Result<BTreeMap<(u32, u32), u64>, StoreError> {
+    let mut sees = BTreeMap::new();
+    for extent in reader.extents(ExtentKind::LightPairs) {
+        let block = reader.read(extent, budget, "ledger")?;
+        for pair in block.as_slice_of::<LightPairRecord>()? {
+            *sees.entry((pair.room, pair.light)).or_default() += pair.photons;
+        }
+    }
+    Ok(sees)
+}
+
+/// Writes each room's set of lights, in the place of any that a run wrote which did not get to the seal.
+fn write_light_sets(
+    writer: &mut StageWriter,
+    sees: &BTreeMap<(u32, u32), u64>,
+    rooms: u32,
+) -> Result<(), StoreError> {
+    let old = |e: &&Extent| e.kind == ExtentKind::LightSet;
+    let old: Vec<Extent> = writer.extents().filter(old).copied().collect();
+    old.iter().for_each(|extent| writer.consume(extent));
+    for room in 0..rooms {
+        let lights: Vec<LightPairRecord> = sees
+            .range((room, 0)..=(room, u32::MAX))
+            .map(|(&(room, light), &photons)| LightPairRecord { room, light, photons })
+            .collect();
+        append(writer, ExtentKind::LightSet, room, &lights)?;
+    }
+    Ok(())
 }
 
 fn append<T: IntoBytes + zerocopy::Immutable>(
