@@ -287,6 +287,11 @@ impl StageWriter {
         self.log.data.clone()
     }
 
+    /// Bytes of extents whose consumption is committed, and which [`release_consumed`](Self::release_consumed) would give back.
+    pub fn consumed_bytes(&self) -> u64 {
+        self.log.state.dead.iter().map(|(start, end)| end - start).sum()
+    }
+
     /// Gives the disk space of extents whose consumption is committed back to the file system, and returns the
     /// bytes that they had. Does nothing on a file system that cannot.
     ///

@@ -21,6 +21,10 @@ use zerocopy::{FromBytes, IntoBytes};
 use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, Share};
 use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
 
+/// Photons in transit that were consumed are given back to the file system when they have so many bytes. It is not done for less: what has
+/// holes is read once more when it is sealed.
+const RELEASE_BYTES: u64 = 256 << 20;
+
 /// What the recorder is asked to do.
 pub(crate) enum Message {
     /// Blocks of one job.
@@ -431,6 +435,9 @@ impl Recorder {
             self.others.sync()?;
         }
         writer.commit()?;
+        if writer.consumed_bytes() >= RELEASE_BYTES {
+            writer.release_consumed()?;
+        }
         self.uncommitted = 0;
         self.committed_at = Instant::now();
         Ok(())
