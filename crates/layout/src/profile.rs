@@ -351,8 +351,7 @@ mod tests {
         assert!((folded.lumens() - written.lumens()).abs() < 1e-12);
         assert!((folded.lumens() - lateral.lumens()).abs() < 1e-12);
         let tables = [stored(&folded), stored(&written), stored(&lateral)];
-        let profiles: Vec<_> =
-            tables.iter().map(|(r, v)| Profile::new(r, v).unwrap()).collect();
+        let profiles: Vec<_> = tables.iter().map(|(r, v)| Profile::new(r, v).unwrap()).collect();
         for i in 0..50 {
             for j in -40..80 {
                 let (t, p) = (f64::from(i) * 0.04 + 0.003, f64::from(j) * 0.09 + 0.001);

@@ -21,7 +21,8 @@ use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
 };
 use enf_layout::light::{
-    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT, LightRecord,
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT,
+    LightRecord,
 };
 use enf_layout::map::MapHeader;
 use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};

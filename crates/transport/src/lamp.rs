@@ -14,7 +14,11 @@ use glam::{DVec3, Vec3};
 pub fn spot(light: &LightRecord, to: Vec3) -> f64 {
     let (axis, to) = (unit(light.axis), to.as_dvec3().normalize_or_zero());
     let whole = cone_steradians(light.cone);
-    if whole > 0.0 && to != DVec3::ZERO { falloff(light.cone, from_cosine(axis, to)) / whole } else { 0.0 }
+    if whole > 0.0 && to != DVec3::ZERO {
+        falloff(light.cone, from_cosine(axis, to)) / whole
+    } else {
+        0.0
+    }
 }
 
 /// A direction from a spot light: two uniform numbers in `[0, 1)`.
@@ -101,7 +105,11 @@ fn in_band(f0: f64, f1: f64, t0: f64, t1: f64, u: f64) -> f64 {
     for _ in 0..60 {
         let f = f0 + (f1 - f0) * ((t - t0) / width);
         let excess = if t > t0 { profile::band(f0, f, t0, t) } else { 0.0 } - target;
-        if excess > 0.0 { high = t } else { low = t }
+        if excess > 0.0 {
+            high = t
+        } else {
+            low = t
+        }
         let slope = f * libm::sin(t);
         let newton = t - excess / slope;
         let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
@@ -204,7 +212,9 @@ mod tests {
     /// The integral of a spot light's intensity over the sphere is 1, by the midpoint rule in 1 - cos.
     #[test]
     fn a_spot_of_one_watt_emits_one_watt() {
-        for (inner, outer) in [(0.0, 45.0), (20.0, 30.0), (0.0, 90.0), (1.0, 1.5), (30.0, 30.0), (0.0, 180.0)] {
+        for (inner, outer) in
+            [(0.0, 45.0), (20.0, 30.0), (0.0, 90.0), (1.0, 1.5), (30.0, 30.0), (0.0, 180.0)]
+        {
             let light = cone(inner, outer);
             let x1 = 1.0 - f64::from(light.cone[1]);
             let steps = 100_000;
@@ -247,7 +257,11 @@ mod tests {
             // The share of flux within 1 - cos = x.
             let within = |x: f64| {
                 let full = xi + (xo - xi) / 3.0;
-                let rest = if x > xi { (xo - xi) * (1.0 - ((xo - x) / (xo - xi)).powi(3)) / 3.0 } else { 0.0 };
+                let rest = if x > xi {
+                    (xo - xi) * (1.0 - ((xo - x) / (xo - xi)).powi(3)) / 3.0
+                } else {
+                    0.0
+                };
                 (x.min(xi) + rest) / full
             };
             let mut rings = [0u32; 64];
@@ -262,7 +276,8 @@ mod tests {
                 mean += (d - axis * d.dot(axis)) / f64::from(DRAWS);
             }
             let expected = f64::from(DRAWS) / 64.0;
-            let chi: f64 = rings.iter().map(|&n| (f64::from(n) - expected).powi(2) / expected).sum();
+            let chi: f64 =
+                rings.iter().map(|&n| (f64::from(n) - expected).powi(2) / expected).sum();
             assert!(chi < 122.0, "{inner} {outer}: chi-square {chi}");
             assert!(mean.length() < 5.0 * (2.0 * xo / f64::from(DRAWS)).sqrt(), "{mean}");
         }
@@ -439,14 +454,17 @@ mod tests {
         let profile = Profile::new(&record, &values).unwrap();
         let light = lamp(Vec3::NEG_Z, Vec3::X);
         let towards = |to: Vec3| measured(&light, &profile, to) * samples.lumens();
-        for (to, candela) in [(Vec3::X, 1.0), (Vec3::Y, 2.0), (Vec3::NEG_X, 3.0), (Vec3::NEG_Y, 4.0)] {
+        for (to, candela) in
+            [(Vec3::X, 1.0), (Vec3::Y, 2.0), (Vec3::NEG_X, 3.0), (Vec3::NEG_Y, 4.0)]
+        {
             assert!((towards(to) - candela).abs() < 1e-5, "{to}: {}", towards(to));
         }
     }
 
     #[test]
     fn damaged_lights_are_dark_or_finite() {
-        let light = LightRecord { kind: LIGHT_SPOT, cone: [1.0; 2], axis: [0.0; 3], ..LightRecord::DARK };
+        let light =
+            LightRecord { kind: LIGHT_SPOT, cone: [1.0; 2], axis: [0.0; 3], ..LightRecord::DARK };
         assert_eq!(spot(&light, Vec3::X), 0.0);
         assert!(from_spot(&light, [0.5, 0.5]).is_finite());
         let (_, record, values) = profiles().remove(0);
