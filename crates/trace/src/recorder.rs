@@ -2,6 +2,7 @@
 //! photon rows, the logs and the journal. Tracers send it blocks through a channel; nobody locks anything.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender};
@@ -13,6 +14,7 @@ use enf_stage::rowtable::RowTable;
 use enf_store::{Buffer, Extent, MemoryBudget, StageReader, StageWriter, StoreError};
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::shares::Shares;
 use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
 
 /// What the recorder is asked to do.
@@ -116,6 +118,7 @@ pub(crate) struct Recorder {
     ledger: BTreeMap<u32, LedgerRecord>,
     passages: BTreeMap<(u32, u32), (u64, f64)>,
     sees: BTreeMap<(u32, u32), u64>,
+    shares: Arc<Shares>,
     /// What came since the last commit.
     epoch: Tally,
     uncommitted: u64,
@@ -133,6 +136,7 @@ impl Recorder {
         budget: &MemoryBudget,
         transit: RowTable<TransitRecord>,
         photons: RowTable<PhotonRecord>,
+        shares: Arc<Shares>,
     ) -> Result<Self, StoreError> {
         let mut recorder = Self {
             writer,
@@ -144,6 +148,7 @@ impl Recorder {
             ledger: BTreeMap::new(),
             passages: BTreeMap::new(),
             sees: BTreeMap::new(),
+            shares,
             epoch: Tally::default(),
             uncommitted: 0,
             committed_at: Instant::now(),
@@ -341,7 +346,12 @@ impl Recorder {
         let pairs: Vec<LightPairRecord> = epoch
             .sees
             .into_iter()
-            .map(|((room, light), photons)| LightPairRecord { room, light, photons })
+            .map(|((room, light), photons)| LightPairRecord {
+                room,
+                light,
+                photons,
+                emitted: self.shares.of(light),
+            })
             .collect();
         append(writer, ExtentKind::Ledger, 0, &ledger)?;
         append(writer, ExtentKind::Passages, 0, &passages)?;
@@ -362,7 +372,12 @@ impl Recorder {
             let lights: Vec<LightPairRecord> = self
                 .sees
                 .range((room, 0)..=(room, u32::MAX))
-                .map(|(&(room, light), &photons)| LightPairRecord { room, light, photons })
+                .map(|(&(room, light), &photons)| LightPairRecord {
+                    room,
+                    light,
+                    photons,
+                    emitted: self.shares.of(light),
+                })
                 .collect();
             append(&mut self.writer, ExtentKind::LightSet, room, &lights)?;
         }
