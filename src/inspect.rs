@@ -7,6 +7,7 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use enf_layout::bsp::LEAF_OUTSIDE;
 use enf_layout::journal::LedgerRecord;
+use enf_layout::light::{LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT};
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::tables::Tables;
@@ -39,6 +40,9 @@ pub(crate) struct InspectArgs {
     /// List the portals
     #[arg(long)]
     portals: bool,
+    /// List the lights: kind, luminous flux, place, the file of a luminaire
+    #[arg(long)]
+    lights: bool,
     /// Check every byte against the seals
     #[arg(long)]
     verify: bool,
@@ -55,6 +59,9 @@ pub(crate) struct InspectArgs {
     #[arg(long, value_name = "WHAT", value_enum)]
     digest: Option<DigestKind>,
 }
+
+/// Lumens per watt of the scalar flux.
+const LUMENS_PER_WATT: f64 = 179.0;
 
 /// What reading a store may hold in memory.
 const BUDGET: u64 = 1 << 30;
@@ -91,6 +98,9 @@ pub(crate) fn run(args: &InspectArgs) -> Result<()> {
     }
     if args.portals {
         answer.insert("portals".into(), portals(&tables));
+    }
+    if args.lights {
+        answer.insert("lights".into(), lights(&tables));
     }
     if args.ledger {
         answer.insert("ledger".into(), ledger(&store, &budget)?);
@@ -184,6 +194,42 @@ fn portals(tables: &Tables) -> Value {
                 "area_m2": p.area_m2,
                 "centre": p.centre,
                 "pieces": p.piece_count,
+            })
+        })
+        .collect()
+}
+
+fn lights(tables: &Tables) -> Value {
+    let names = &tables.names;
+    tables
+        .lights()
+        .iter()
+        .enumerate()
+        .map(|(id, light)| {
+            let kind = match light.kind {
+                LIGHT_AREA => "area",
+                LIGHT_POINT => "point",
+                LIGHT_POINT_LAMBERT => "lambert-point",
+                LIGHT_SPOT => "spot",
+                LIGHT_PROFILE => "ies",
+                _ => "other",
+            };
+            let [r, g, b] = light.flux_w.map(f64::from);
+            // From the axis, to where a spot light is dark.
+            let outer = (light.kind == LIGHT_SPOT)
+                .then(|| f64::from(light.cone[1].clamp(-1.0, 1.0)).acos().to_degrees());
+            json!({
+                "light": id,
+                "name": names.lights.get(id),
+                "kind": kind,
+                "lumens": LUMENS_PER_WATT * (0.2126 * r + 0.7152 * g + 0.0722 * b),
+                "flux_w": light.flux_w,
+                "position": light.position,
+                "axis": light.axis,
+                "area_m2": light.area_m2,
+                "outer_degrees": outer,
+                "profile": (light.kind == LIGHT_PROFILE)
+                    .then(|| names.profiles.get(light.profile as usize)),
             })
         })
         .collect()

@@ -64,7 +64,9 @@ const DEMO_PHOTONS: u64 = 50_000;
 /// Generates the L-shape and runs everything on it.
 pub(crate) fn demo(args: &DemoArgs) -> Result<()> {
     let mut stages = args.stages.clone();
-    stages.trace.photons_per_light.get_or_insert(DEMO_PHOTONS);
+    if stages.trace.photons.is_none() {
+        stages.trace.photons_per_light.get_or_insert(DEMO_PHOTONS);
+    }
     if stages.render.view.is_empty() && stages.render.views.is_none() {
         stages.render.view.push("all".into());
     }

@@ -122,5 +122,7 @@ pub struct LightPairRecord {
     pub light: u32,
     /// Direct photons of the light that landed in the room.
     pub photons: u64,
+    /// Photons that the light emits in the whole trace.
+    pub emitted: u64,
 }
-const _: () = assert!(size_of::<LightPairRecord>() == 16);
+const _: () = assert!(size_of::<LightPairRecord>() == 24);

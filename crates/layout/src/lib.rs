@@ -24,6 +24,7 @@ pub mod map;
 pub mod material;
 pub mod octahedral;
 pub mod photon;
+pub mod profile;
 pub mod rgbe;
 pub mod room;
 pub mod sections;

@@ -8,6 +8,17 @@ pub const LIGHT_AREA: u32 = 0;
 pub const LIGHT_POINT: u32 = 1;
 /// A point with intensity `I0 cos(theta)` about `axis` (CIE 171, 5.2's source).
 pub const LIGHT_POINT_LAMBERT: u32 = 2;
+/// A point that shines into a cone about `axis`: full intensity up to the first of its `cone`'s angles, then
+/// falling with the square of the cosine's way to the second (glTF's KHR_lights_punctual).
+pub const LIGHT_SPOT: u32 = 3;
+/// A point whose intensities were measured: see [`crate::profile`].
+pub const LIGHT_PROFILE: u32 = 4;
+
+/// Flux per intensity on the axis of a [`LIGHT_SPOT`], sr: 2 pi (1 - ci + (ci - co) / 3).
+pub fn cone_steradians(cone: [f32; 2]) -> f64 {
+    let [inner, outer] = cone.map(f64::from);
+    core::f64::consts::TAU * ((1.0 - inner) + (inner - outer) / 3.0)
+}
 
 /// One light; photons are counted per light.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
@@ -31,7 +42,7 @@ pub struct LightRecord {
     pub radius: f32,
     /// Unit axis of a point, area-weighted mean normal of an area light (zero if it cancels).
     pub axis: [f32; 3],
-    /// What else the kind needs, by index in a table of its own; [`crate::NONE`] if nothing.
+    /// Index of the [`crate::profile::ProfileRecord`] of a [`LIGHT_PROFILE`], else [`crate::NONE`].
     pub profile: u32,
     /// Unit vector square to `axis`, from which angles about it are counted; zero where nobody counts them.
     pub tangent: [f32; 3],

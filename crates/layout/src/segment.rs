@@ -110,6 +110,10 @@ pub enum ExtentKind {
     LightPairs = 26,
     /// One tile's bounding volume hierarchy, a [`crate::sections`] blob of [`crate::bvh`]; id = tile.
     Bvh = 27,
+    /// [`crate::profile::ProfileRecord`]s; index = profile id.
+    Profiles = 28,
+    /// `f32` values of the profiles, one after the other.
+    ProfileValues = 29,
 }
 
 impl ExtentKind {
@@ -144,6 +148,8 @@ impl ExtentKind {
             Identity,
             LightPairs,
             Bvh,
+            Profiles,
+            ProfileValues,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

@@ -20,10 +20,14 @@ use enf_layout::grid::{BrickRecord, GridHeader};
 use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
 };
-use enf_layout::light::{EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord};
+use enf_layout::light::{
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT,
+    LightRecord,
+};
 use enf_layout::map::MapHeader;
 use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};
 use enf_layout::photon::*;
+use enf_layout::profile::ProfileRecord;
 use enf_layout::room::{
     PIECE_CORNERS, PortalPieceRecord, PortalRecord, RoomRecord, SceneRecord, TileRecord, ViewRecord,
 };
@@ -110,7 +114,7 @@ fn records() -> Vec<Golden> {
             reflections_max: 17,
         }
         PassageRecord { from: 1, to: 2, photons: 333, flux_w: 4.5 }
-        LightPairRecord { room: 5, light: 6, photons: 777 }
+        LightPairRecord { room: 5, light: 6, photons: 777, emitted: 20_000 }
         SectionsHeader { magic: SECTIONS_MAGIC, count: 4 }
         SectionRecord { offset: 128, bytes: 36, transform: Transform::Delta as u32, stride: 3 }
         PlaneRecord { normal: [0.6, 0.0, 0.8], offset: -2.5 }
@@ -219,6 +223,16 @@ fn records() -> Vec<Golden> {
             corners: [[0.0, 1.0, 2.0], [3.0, 4.0, 5.0], [6.0, 7.0, 8.0]],
             triangle: 99,
             cumulative: 0.5,
+            reserved: 0,
+        }
+        ProfileRecord {
+            first_value: 11,
+            rows: 37,
+            columns: 73,
+            folds: 2,
+            origin: 1.5,
+            peak: 0.75,
+            lumens: 9561.0,
             reserved: 0,
         }
         GridHeader {
@@ -352,6 +366,8 @@ fn numbers() -> String {
         ("LIGHT_AREA", LIGHT_AREA),
         ("LIGHT_POINT", LIGHT_POINT),
         ("LIGHT_POINT_LAMBERT", LIGHT_POINT_LAMBERT),
+        ("LIGHT_SPOT", LIGHT_SPOT),
+        ("LIGHT_PROFILE", LIGHT_PROFILE),
         ("MATERIAL_ONE_SIDED_EMITTER", MATERIAL_ONE_SIDED_EMITTER),
         ("MATERIAL_SEE_THROUGH", MATERIAL_SEE_THROUGH),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),

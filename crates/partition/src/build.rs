@@ -36,6 +36,7 @@ pub(crate) struct World {
     pub(crate) lights: Vec<LightRecord>,
     pub(crate) emitters: Vec<EmitterRecord>,
     pub(crate) light_names: Vec<String>,
+    pub(crate) profiles: enf_scene::Profiles,
     /// Triangles that are not in the scene file, numbered from its last on.
     pub(crate) added: Vec<Record>,
 }
@@ -74,6 +75,7 @@ pub(crate) fn build(
         lights: lights.records,
         emitters: lights.emitters,
         light_names: lights.names,
+        profiles: lights.profiles,
         added: Vec::new(),
     };
     if world.lights.is_empty() && args.ceiling_lights.is_none() {
@@ -241,6 +243,7 @@ fn write_tables(
         rooms,
         materials: world.material_names.clone(),
         lights: world.light_names.clone(),
+        profiles: world.profiles.names.clone(),
         views: scene.views.iter().map(|v| v.name.clone()).collect(),
         units: scene.frame().units,
         y_up: scene.frame().up == Up::Y,
@@ -256,6 +259,9 @@ fn write_tables(
     put(ExtentKind::Materials, world.materials.len(), world.materials.as_bytes())?;
     put(ExtentKind::Lights, world.lights.len(), world.lights.as_bytes())?;
     put(ExtentKind::Emitters, world.emitters.len(), world.emitters.as_bytes())?;
+    let profiles = &world.profiles;
+    put(ExtentKind::Profiles, profiles.records.len(), profiles.records.as_bytes())?;
+    put(ExtentKind::ProfileValues, profiles.values.len(), profiles.values.as_bytes())?;
     put(ExtentKind::Planes, tables.planes.len(), tables.planes.as_bytes())?;
     put(ExtentKind::Nodes, tables.nodes.len(), tables.nodes.as_bytes())?;
     put(ExtentKind::Leaves, tables.leaves.len(), tables.leaves.as_bytes())?;

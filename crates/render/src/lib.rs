@@ -599,11 +599,13 @@ impl Driver<'_> {
         for extent in self.readers.trace.find(ExtentKind::LightSet, room) {
             let set = self.readers.trace.read(extent, &self.budget, "light set")?;
             let set = set.as_slice_of::<LightPairRecord>().map_err(StoreError::from)?;
-            let most = set.iter().map(|p| p.photons).max().unwrap_or(0).max(1) as f32;
+            // Of all that the light emits: lights may emit different numbers.
+            let part = |p: &LightPairRecord| p.photons as f32 / p.emitted.max(1) as f32;
+            let most = set.iter().map(part).fold(f32::MIN_POSITIVE, f32::max);
             // A light of which much arrives has its full importance; one that shines in through a door counts
             // less, for it is hidden from most of the room, but never less than a tenth.
             lights.extend(set.iter().map(|p| {
-                let share = (10.0 * p.photons as f32 / most).min(1.0);
+                let share = (10.0 * part(p) / most).min(1.0);
                 (p.light, 0.1 + 0.9 * share)
             }));
         }

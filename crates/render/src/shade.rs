@@ -11,7 +11,7 @@ use enf_geometry::{Hit, Query};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
-use enf_layout::light::{LIGHT_AREA, LightRecord};
+use enf_layout::light::{LIGHT_AREA, LIGHT_PROFILE, LIGHT_SPOT, LightRecord};
 use enf_layout::sections::Malformed;
 use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_SHADOW, TransitRecord};
 use enf_rooms::Bsp;
@@ -20,6 +20,7 @@ use enf_stage::tables::Tables;
 use enf_store::{Buffer, Mapped, Reservation};
 use enf_transport::emission;
 use enf_transport::flight::{self, Flight, Resident, Surface};
+use enf_transport::lamp;
 use enf_transport::rng::{self, Purpose};
 use enf_transport::scatter::{self, Lobes};
 use enf_transport::vector;
@@ -453,6 +454,17 @@ impl Shader<'_> {
         let square = to.length_squared() + reach * reach;
         let distance = square.sqrt();
         let lift = ((to.dot(surface.normal) + reach) / distance).clamp(0.0, 1.0);
+        let intensity = match light.kind {
+            LIGHT_SPOT => Some(lamp::spot(light, -to)),
+            LIGHT_PROFILE => {
+                self.context.tables.profile_of(light).map(|p| lamp::measured(light, &p, -to))
+            }
+            _ => None,
+        };
+        if let Some(intensity) = intensity {
+            let flux = vector::luminance(Vec3::from(light.flux_w));
+            return flux * lift * lamp::guess(intensity) / square;
+        }
         let axis = Vec3::from(light.axis);
         let directed =
             if light.kind == enf_layout::light::LIGHT_POINT { 0.0 } else { axis.length() };
@@ -533,7 +545,8 @@ impl Shader<'_> {
                 // Le = flux / (pi A); density of the point is 1/A.
                 flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
             } else {
-                flux * (emission::point_intensity(light, -direction) * cos / square)
+                let profile = context.tables.profile_of(light);
+                flux * (emission::point_intensity(light, profile, -direction) * cos / square)
             };
             let radiance = reflected * irradiance / (probability * count as f32);
             if radiance == Vec3::ZERO {

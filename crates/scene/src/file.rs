@@ -86,7 +86,14 @@ pub(crate) struct LightTable {
     pub(crate) name: Option<String>,
     pub(crate) kind: PointKind,
     pub(crate) position: [f64; 3],
+    #[serde(alias = "axis", alias = "aim")]
     pub(crate) direction: Option<[f64; 3]>,
+    pub(crate) target: Option<[f64; 3]>,
+    pub(crate) inner: Option<f64>,
+    pub(crate) outer: Option<f64>,
+    pub(crate) file: Option<String>,
+    pub(crate) turn: Option<f64>,
+    scale: Option<f64>,
     lumens: Option<f64>,
     candela: Option<f64>,
     watts: Option<Rgb>,
@@ -99,6 +106,10 @@ pub(crate) enum PointKind {
     Point,
     #[serde(rename = "lambert-point")]
     LambertPoint,
+    #[serde(rename = "spot")]
+    Spot,
+    #[serde(rename = "ies")]
+    Ies,
 }
 
 #[derive(Deserialize)]
@@ -305,14 +316,52 @@ impl MaterialTable {
 }
 
 impl LightTable {
-    /// Flux, W.
-    pub(crate) fn flux(&self) -> Result<[f64; 3], String> {
-        let per_candela = match self.kind {
-            PointKind::Point => 4.0 * PI,
-            PointKind::LambertPoint => PI,
-        };
-        flux(self.lumens, self.candela, self.watts, self.color, per_candela)?
+    /// Keys that its kind has no use for.
+    pub(crate) fn check(&self) -> Result<(), String> {
+        let spot = self.kind == PointKind::Spot;
+        let ies = self.kind == PointKind::Ies;
+        let keys = [
+            ("inner", self.inner.is_some(), spot, "spot"),
+            ("outer", self.outer.is_some(), spot, "spot"),
+            ("file", self.file.is_some(), ies, "ies"),
+            ("turn", self.turn.is_some(), ies, "ies"),
+            ("scale", self.scale.is_some(), ies, "ies"),
+        ];
+        if let Some((key, _, _, kind)) = keys.iter().find(|k| k.1 && !k.2) {
+            return Err(format!("\"{key}\" is for lights of kind \"{kind}\""));
+        }
+        if ies && self.candela.is_some() {
+            return Err(
+                "the intensities are in the IES file: give \"lumens\" or \"scale\" instead of \
+                        \"candela\""
+                    .into(),
+            );
+        }
+        if self.direction.is_some() && self.target.is_some() {
+            return Err("give only one of \"direction\" and \"target\"".into());
+        }
+        if let Some(turn) = self.turn.filter(|t| !t.is_finite()) {
+            return Err(format!("\"turn\" is {turn}"));
+        }
+        Ok(())
+    }
+
+    /// Flux, W, of a light that has so many lumens a candela.
+    pub(crate) fn flux(&self, lumens_per_candela: f64) -> Result<[f64; 3], String> {
+        flux(self.lumens, self.candela, self.watts, self.color, lumens_per_candela)?
             .ok_or_else(|| "a light needs \"lumens\", \"candela\" or \"watts\"".into())
+    }
+
+    /// Flux, W, of a luminaire that has so many lumens unless the table says otherwise.
+    pub(crate) fn luminaire_flux(&self, lumens: f64) -> Result<[f64; 3], String> {
+        let said = self.lumens.is_some() || self.watts.is_some();
+        if said && self.scale.is_some() {
+            return Err("give only one of \"lumens\", \"watts\" and \"scale\"".into());
+        }
+        if said {
+            return self.flux(0.0);
+        }
+        crate::lamps::coloured(lumens * self.scale.unwrap_or(1.0), self.color.map(|c| c.values))
     }
 }
 

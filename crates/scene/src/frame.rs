@@ -106,7 +106,7 @@ impl Matrix {
 }
 
 /// Sine and cosine of an angle in degrees, exact at the quarter turns.
-fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
+pub(crate) fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
     let turn = degrees % 360.0;
     let turn = if turn < 0.0 { turn + 360.0 } else { turn };
     if turn == 0.0 || turn == 360.0 {

@@ -1,4 +1,4 @@
-//! glTF 2.0 and GLB: meshes and the nodes that place them, materials, point lights, cameras, rooms.
+//! glTF 2.0 and GLB: meshes and the nodes that place them, materials, lights, cameras, rooms.
 //!
 //! A reader of our own, as for OBJ: node transforms stay `f64`, buffers are read block by block (so that
 //! a GLB of any size can be spooled), every count is held against the bytes that are there, and errors name
@@ -11,7 +11,7 @@ mod json;
 use crate::{
     InputFile, LoadOptions, SceneError,
     file::LUMENS_PER_WATT,
-    input,
+    input, lamps,
     mtl::Spec,
     obj::{self, Mesh},
     shape::{Builder, Lookup, Part},
@@ -62,10 +62,14 @@ pub(crate) struct Placed {
     pub(crate) world: DMat4,
 }
 
-/// A point light.
+/// A point light or a spot light.
 pub(crate) struct Light {
     pub(crate) name: String,
     pub(crate) position: DVec3,
+    /// Where a spot light points, of length 1.
+    pub(crate) ahead: DVec3,
+    /// Cosines of a spot light's angles.
+    pub(crate) cone: Option<[f32; 2]>,
     /// W.
     pub(crate) flux: [f64; 3],
 }
@@ -695,24 +699,43 @@ impl Reader<'_> {
         let name = name.unwrap_or_else(|| node.name.clone());
         let color = said.color.unwrap_or([1.0; 3]);
         let candela = said.intensity.unwrap_or(1.0);
-        if said.kind != "point" {
-            let what = format!(
-                "the {} light {} is left out: only point lights are read; a lamp may also be a mesh \
-                 with an emissive material",
-                obj::excerpt(said.kind.as_bytes()),
-                quoted(&name)
-            );
-            self.warn(what);
-            return Ok(());
-        }
-        let flux = color.map(|c| c * candela * 4.0 * PI / LUMENS_PER_WATT);
+        let cone = match (said.kind.as_str(), &said.spot) {
+            ("point", _) => None,
+            ("spot", said) => {
+                // The specification's defaults: 0 and 45 degrees.
+                let inner = said.as_ref().and_then(|s| s.inner).unwrap_or(0.0).to_degrees();
+                let outer = said.as_ref().and_then(|s| s.outer).map_or(45.0, f64::to_degrees);
+                match lamps::cone(inner, outer.min(180.0)) {
+                    Ok(cone) => Some(cone),
+                    Err(e) => {
+                        return self.damaged(format!("the spot light {}: {e}", quoted(&name)));
+                    }
+                }
+            }
+            (kind, _) => {
+                let what = format!(
+                    "the {} light {} is left out: only point and spot lights are read; a lamp may also be \
+                     a mesh with an emissive material",
+                    obj::excerpt(kind.as_bytes()),
+                    quoted(&name)
+                );
+                self.warn(what);
+                return Ok(());
+            }
+        };
+        let flux = match cone {
+            None => color.map(|c| c * candela * 4.0 * PI / LUMENS_PER_WATT),
+            Some(cone) => lamps::spot_flux(color.map(|c| c * candela), cone),
+        };
         if flux.iter().any(|w| !(0.0..=1e20).contains(w)) {
             return self
                 .damaged(format!("the intensity of light {} is out of range", quoted(&name)));
         }
         if flux.iter().any(|&w| w > 0.0) {
             let position = node.world.w_axis.truncate();
-            model.lights.push(Light { name, position, flux });
+            // It points along the node's -z, whatever the node's scale.
+            let ahead = -node.world.z_axis.truncate().normalize_or(DVec3::Z);
+            model.lights.push(Light { name, position, ahead, cone, flux });
         }
         Ok(())
     }

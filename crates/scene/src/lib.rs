@@ -34,11 +34,13 @@ mod frame;
 mod gltf;
 mod hints;
 mod input;
+mod lamps;
 mod lights;
 mod load;
 mod materials;
 mod mtl;
 mod obj;
+pub mod photometry;
 mod polygon;
 mod shape;
 mod stream;
@@ -47,6 +49,7 @@ mod views;
 pub use error::SceneError;
 pub use file::{LUMENS_PER_WATT, luminance, parse_units};
 pub use frame::{Frame, Up};
+pub use lamps::Profiles;
 pub use load::load;
 pub use views::load_views;
 
@@ -127,6 +130,7 @@ pub struct Scene {
     /// (object, material) of the lights whose material is a copy: see [`Scene::lights`].
     copies: BTreeMap<(u32, u32), u32>,
     points: Vec<(String, LightRecord)>,
+    profiles: Profiles,
     doors: Vec<u32>,
 }
 
@@ -195,6 +199,8 @@ pub struct Lights {
     pub emitters: Vec<EmitterRecord>,
     /// Names, one per light.
     pub names: Vec<String>,
+    /// Intensities of luminaires.
+    pub profiles: Profiles,
 }
 
 impl Scene {
@@ -375,6 +381,7 @@ impl Scene {
             lights.records.push(*record);
             lights.names.push(name.clone());
         }
+        lights.profiles.clone_from(&self.profiles);
         Ok(lights)
     }
 
@@ -392,6 +399,7 @@ impl Scene {
                 .iter()
                 .map(|h| h.name.capacity() + h.polygon.capacity() * 8)
                 .sum::<usize>()
+            + self.profiles.bytes()
             + self.doors.capacity() * 4
             + self.copies.len() * 32;
         self.geometry.bytes() + (names + lists) as u64

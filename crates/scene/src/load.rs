@@ -5,7 +5,9 @@ use crate::{
     Doors, Frame, InputFile, LoadOptions, Material, Scene, SceneError, Up,
     file::{self, MaterialTable, Parsed, PointKind, SceneFile},
     frame::{Placements, local_matrix},
-    gltf, hints, lights, materials,
+    gltf, hints,
+    lamps::{self, Luminaires},
+    lights, materials,
     mtl::{self, Spec},
     obj::{self, Mesh},
     shape::{Lookup, Part, Position},
@@ -14,11 +16,12 @@ use crate::{
 };
 use enf_layout::{
     NONE,
-    light::{LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord},
+    light::{LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord, cone_steradians},
 };
 use glam::{DMat3, DMat4, DVec3, DVec4, Vec3};
 use std::{
     collections::{BTreeMap, BTreeSet, HashSet},
+    f64::consts::PI,
     path::{Path, PathBuf},
 };
 use toml::Spanned;
@@ -229,7 +232,7 @@ impl Loader {
         if listed.name.is_some() {
             if !(model.lights.is_empty() && model.cameras.is_empty() && model.rooms.is_empty()) {
                 self.warnings.push(format!(
-                    "\"{}\": point lights, cameras and rooms of a glTF file that is placed by \
+                    "\"{}\": lights, cameras and rooms of a glTF file that is placed by \
                      instances are left out",
                     listed.name.as_deref().unwrap_or_default()
                 ));
@@ -240,6 +243,8 @@ impl Loader {
         self.lights.extend(model.lights.iter().map(|l| gltf::Light {
             name: l.name.clone(),
             position: at(l.position),
+            ahead: turn * l.ahead,
+            cone: l.cone,
             flux: l.flux,
         }));
         self.cameras.extend(model.cameras.iter().map(|c| gltf::Camera {
@@ -651,11 +656,22 @@ impl Loader {
             ));
         }
         let measured = measure(&mut geometry, path, |material| table.emits(material))?;
-        let mut points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
+        let mut luminaires = Luminaires::default();
+        let folder = path.parent().unwrap_or(Path::new(""));
+        let mut points =
+            parsed.map_or(Ok(Vec::new()), |p| point_lights(p, folder, &frame, &mut luminaires))?;
+        self.inputs.append(&mut luminaires.inputs);
+        warnings.append(&mut luminaires.warnings);
         for light in self.lights {
             let position = frame.point(light.position.to_array());
-            let down = [0.0, 0.0, -1.0];
-            points.push((light.name, lights::point(LIGHT_POINT, position, down, light.flux)));
+            let record = match light.cone {
+                Some(cone) => {
+                    let axis = frame.direction(light.ahead.to_array()).unwrap_or([0.0, 0.0, -1.0]);
+                    lamps::spot(position, axis, cone, light.flux)
+                }
+                None => lights::point(LIGHT_POINT, position, [0.0, 0.0, -1.0], light.flux),
+            };
+            points.push((light.name, record));
         }
         let mut views =
             parsed.map_or(Ok(Vec::new()), |p| views::build(p, &p.value.view, &frame))?;
@@ -664,7 +680,6 @@ impl Loader {
         }
         let mut hints = Vec::new();
         if let Some(p) = parsed {
-            let folder = path.parent().unwrap_or(Path::new(""));
             let (rooms, mut files) = hints::build(p, folder, &frame, &mut warnings)?;
             hints = rooms;
             self.inputs.append(&mut files);
@@ -751,6 +766,7 @@ impl Loader {
             skipped: measured.flat + measured.not_finite,
             copies,
             points,
+            profiles: luminaires.profiles,
             doors,
         })
     }
@@ -1130,40 +1146,67 @@ fn tolerance(lo: [f32; 3], hi: [f32; 3]) -> f32 {
     (m / f64::from(1u32 << 19)) as f32
 }
 
+/// The `[[light]]` tables of a scene file.
 fn point_lights(
     parsed: &Parsed<SceneFile>,
+    folder: &Path,
     frame: &Frame,
+    luminaires: &mut Luminaires,
 ) -> Result<Vec<(String, LightRecord)>, SceneError> {
     let mut out = Vec::with_capacity(parsed.value.light.len());
     for (i, at) in parsed.value.light.iter().enumerate() {
         let table = at.get_ref();
         let name = table.name.clone().unwrap_or_else(|| format!("light-{}", i + 1));
         let fail = |what: &str, remedy: &str| {
-            Err(parsed.error(at, format!("light \"{name}\": {what}"), remedy))
+            parsed.error(at, format!("light \"{name}\": {what}"), remedy)
         };
-        let flux = match table.flux() {
-            Ok(flux) => flux,
-            Err(e) => return fail(&e, "correct the table"),
-        };
+        let wrong = |what: String| fail(&what, "correct the table");
+        table.check().map_err(wrong)?;
         let position = frame.point(table.position);
         if position.iter().any(|v| !v.is_finite()) {
-            return fail("its position is not finite", "give finite coordinates");
+            return Err(fail("its position is not finite", "give finite coordinates"));
         }
         let down = match frame.up {
             Up::Z => [0.0, 0.0, -1.0],
             Up::Y => [0.0, -1.0, 0.0],
         };
-        let Some(axis) = frame.direction(table.direction.unwrap_or(down)) else {
-            return fail("its direction has no length", "give three numbers, not all zero");
+        let towards = |t: [f64; 3]| std::array::from_fn(|c| t[c] - table.position[c]);
+        let ahead = table.target.map(towards).or(table.direction).unwrap_or(down);
+        let Some(axis) = frame.direction(ahead) else {
+            return Err(match table.target {
+                Some(_) => fail("its target is where it is", "give another \"target\""),
+                None => fail("its direction has no length", "give three numbers, not all zero"),
+            });
         };
-        let kind = match table.kind {
-            PointKind::Point => LIGHT_POINT,
-            PointKind::LambertPoint => LIGHT_POINT_LAMBERT,
+        let point = |kind, per_candela| -> Result<LightRecord, SceneError> {
+            let flux = table.flux(per_candela).map_err(wrong)?;
+            Ok(lights::point(kind, position, axis, flux))
         };
-        if flux.iter().all(|&w| w == 0.0) {
+        let record = match table.kind {
+            PointKind::Point => point(LIGHT_POINT, 4.0 * PI)?,
+            PointKind::LambertPoint => point(LIGHT_POINT_LAMBERT, PI)?,
+            PointKind::Spot => {
+                let outer = table.outer.unwrap_or(45.0);
+                let cone = lamps::cone(table.inner.unwrap_or(0.0), outer).map_err(wrong)?;
+                let flux = table.flux(cone_steradians(cone)).map_err(wrong)?;
+                lamps::spot(position, axis, cone, flux)
+            }
+            PointKind::Ies => {
+                let Some(file) = &table.file else {
+                    return Err(fail("it has no \"file\"", "name an IES file"));
+                };
+                let ahead = DVec3::from_array(axis.map(f64::from)).normalize();
+                let aim = lamps::Aim { down: ahead, turn: table.turn.unwrap_or(0.0) };
+                let luminaire = luminaires.get(&folder.join(file))?;
+                let lumens = luminaire.lumens * luminaire.photometry.tilt_factor(aim.tilt());
+                let flux = table.luminaire_flux(lumens).map_err(wrong)?;
+                lamps::measured(luminaire, position, aim, flux)
+            }
+        };
+        if record.flux_w.iter().all(|&w| w == 0.0) {
             continue;
         }
-        out.push((name.clone(), lights::point(kind, position, axis, flux)));
+        out.push((name.clone(), record));
     }
     Ok(out)
 }

@@ -1,6 +1,6 @@
 //! glTF files made here, against the same scenes as OBJ, bit by bit; against the crate `gltf`; and damaged.
 
-use enf_layout::light::LIGHT_POINT;
+use enf_layout::light::{LIGHT_POINT, LIGHT_SPOT};
 use enf_layout::material::MATERIAL_SEE_THROUGH;
 use enf_scene::{LoadOptions, Scene, SceneTriangle, Spool, Up, load};
 use proptest::prelude::*;
@@ -469,16 +469,21 @@ fn lights_cameras_and_rooms() {
     let cube = m.mesh(json!([{"attributes": {"POSITION": cube}}]));
     m.json["extensions"] = json!({"KHR_lights_punctual": {"lights": [
         {"type": "point", "name": "bulb", "intensity": 179.0, "color": [1.0, 0.5, 0.25]},
-        {"type": "spot", "name": "stage", "spot": {}},
+        {"type": "spot", "name": "stage", "intensity": 179.0, "spot": {"innerConeAngle": 0.5, "outerConeAngle": 1.0}},
+        {"type": "spot", "name": "plain", "intensity": 358.0, "spot": {}},
         {"type": "directional", "intensity": 3.0},
         {"type": "point", "intensity": 0.0},
     ]}});
     let light = |i: usize| json!({"KHR_lights_punctual": {"light": i}});
     m.node(json!({"name": "wall", "mesh": mesh}));
     m.node(json!({"name": "lamp", "translation": [1.0, 2.0, 3.0], "extensions": light(0)}));
-    m.node(json!({"name": "spotty", "extensions": light(1)}));
-    m.node(json!({"name": "sun", "extensions": light(2)}));
-    m.node(json!({"name": "off", "extensions": light(3)}));
+    // Turned by -90 degrees about x, and stretched: it points down, along -y.
+    let half = 0.5f64.sqrt();
+    m.node(json!({"name": "spotty", "translation": [0.0, 3.0, 0.0], "rotation": [-half, 0.0, 0.0, half],
+        "scale": [1.0, 2.0, 3.0], "extensions": light(1)}));
+    m.node(json!({"name": "along -z", "extensions": light(2)}));
+    m.node(json!({"name": "sun", "extensions": light(3)}));
+    m.node(json!({"name": "off", "extensions": light(4)}));
     let camera = m.push(
         "cameras",
         json!({"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}}),
@@ -489,7 +494,6 @@ fn lights_cameras_and_rooms() {
     );
     m.node(json!({"name": "eye", "camera": camera, "translation": [0.0, 1.5, 4.0]}));
     // Looking down, along its -z turned by -90 degrees about x.
-    let half = 0.5f64.sqrt();
     m.node(json!({"name": "a/b", "camera": camera, "rotation": [-half, 0.0, 0.0, half]}));
     m.node(json!({"name": "a/b", "camera": camera}));
     m.node(json!({"name": "plan", "camera": flat}));
@@ -506,7 +510,18 @@ fn lights_cameras_and_rooms() {
         [("Hall", [1., -3., 0.], [5., 0., 2.5]), ("Bath", [0., -1., 0.], [1., 0., 1.])]
     );
     let lights = scene.lights().unwrap();
-    assert_eq!(lights.names, ["bulb"]);
+    assert_eq!(lights.names, ["bulb", "stage", "plain"]);
+    let stage = lights.records[1];
+    assert_eq!((stage.kind, stage.position), (LIGHT_SPOT, [0., 0., 3.]));
+    let (inner, outer) = (0.5f64.cos(), 1f64.cos());
+    assert_eq!(stage.cone, [inner as f32, outer as f32]);
+    assert!(stage.axis[2] < -0.999_999, "{:?}", stage.axis);
+    let sr = 2.0 * PI * (1.0 - inner + (inner - outer) / 3.0);
+    assert!(stage.flux_w.iter().all(|&w| (f64::from(w) / sr - 1.0).abs() < 1e-6));
+    let plain = lights.records[2];
+    // glTF's -z is y here; 0 and 45 degrees.
+    assert_eq!((plain.axis, plain.cone), ([0., 1., 0.], [1.0, 0.5f64.sqrt() as f32]));
+    assert!((f64::from(plain.flux_w[0]) - 4.0 * PI * (1.0 - 0.5f64.sqrt()) / 3.0).abs() < 1e-6);
     assert_eq!((lights.records[0].kind, lights.records[0].position), (LIGHT_POINT, [1., -3., 2.]));
     for (w, share) in lights.records[0].flux_w.into_iter().zip([1.0, 0.5, 0.25]) {
         assert!((f64::from(w) - 4.0 * PI * share).abs() < 1e-5, "{w}");
@@ -519,12 +534,8 @@ fn lights_cameras_and_rooms() {
     let down = scene.views[1].record;
     assert!(down.target[2] < -0.999_999 && down.up[1] > 0.999_999, "{down:?}");
     let text = scene.warnings.join("\n");
-    for word in [
-        "spot light \"stage\"",
-        "directional light \"sun\"",
-        "camera \"plan\"",
-        "\"IfcSpace/1/empty\" has no mesh",
-    ] {
+    for word in ["directional light \"sun\"", "camera \"plan\"", "\"IfcSpace/1/empty\" has no mesh"]
+    {
         assert!(text.contains(word), "{word}: {text}");
     }
 }

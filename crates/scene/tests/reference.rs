@@ -128,7 +128,15 @@ fn bits(scene: &Scene) -> (u64, u128) {
 fn fixtures_and_real_models_are_the_same_spooled() {
     let mut all: Vec<PathBuf> = Vec::new();
     let fixtures = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../fixtures/scenes");
-    for name in ["box.toml", "hall.toml", "two-rooms.toml", "box.obj", "hall.obj", "stool.obj"] {
+    for name in [
+        "box.toml",
+        "hall.toml",
+        "gallery.toml",
+        "two-rooms.toml",
+        "box.obj",
+        "hall.obj",
+        "stool.obj",
+    ] {
         all.push(fixtures.join(name));
     }
     match std::env::var_os("ENFILADE_DATA") {

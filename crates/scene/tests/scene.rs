@@ -628,7 +628,7 @@ fn bad_scene_files_name_the_line_and_the_key() {
         (format!("{mesh}[[material]]\nname = \"m\"\nkd = [1, 2, -3]\n"), 5, "-3"),
         (format!("{mesh}[[material]]\nname = \"m\"\n[[material]]\nname = \"m\"\n"), 5, "twice"),
         (format!("{mesh}[[material]]\nname = \"m\"\ncolor = 1\n"), 3, "color"),
-        (format!("{mesh}[[light]]\nkind = \"spot\"\nposition = [0, 0, 0]\n"), 4, "spot"),
+        (format!("{mesh}[[light]]\nkind = \"torch\"\nposition = [0, 0, 0]\n"), 4, "torch"),
         (format!("{mesh}[[light]]\nkind = \"point\"\nposition = [0, 0, 0]\n"), 3, "needs"),
         (format!("{mesh}[[room]]\nmin = [0, 0, 0]\nmax = [1, 1, 0]\n"), 3, "empty"),
         (format!("{mesh}[[view]]\neye = [0, 0, 0]\ntarget = [0, 0, 0]\n"), 3, "one point"),

@@ -2,8 +2,9 @@
 //! portals, tiles, materials and lights. They are in the budget, and small beside it.
 
 use enf_layout::bsp::{FaceRecord, LeafRecord, NodeRecord, PlaneRecord};
-use enf_layout::light::{EmitterRecord, LightRecord};
+use enf_layout::light::{EmitterRecord, LIGHT_PROFILE, LightRecord};
 use enf_layout::material::MaterialRecord;
+use enf_layout::profile::{Profile, ProfileRecord};
 use enf_layout::room::{
     PortalPieceRecord, PortalRecord, RoomRecord, SceneRecord, TileRecord, ViewRecord,
 };
@@ -25,6 +26,8 @@ pub struct Tables {
     materials: Buffer,
     lights: Buffer,
     emitters: Buffer,
+    profiles: Buffer,
+    profile_values: Buffer,
     planes: Buffer,
     nodes: Buffer,
     leaves: Buffer,
@@ -48,6 +51,9 @@ pub struct Names {
     pub materials: Vec<String>,
     /// By light id.
     pub lights: Vec<String>,
+    /// By profile: the files of luminaires.
+    #[serde(default)]
+    pub profiles: Vec<String>,
     /// By view.
     pub views: Vec<String>,
     /// Metres per unit of the input.
@@ -90,6 +96,8 @@ impl Tables {
             materials: checked::<MaterialRecord>(read(ExtentKind::Materials)?)?,
             lights: checked::<LightRecord>(read(ExtentKind::Lights)?)?,
             emitters: checked::<EmitterRecord>(read(ExtentKind::Emitters)?)?,
+            profiles: checked::<ProfileRecord>(read(ExtentKind::Profiles)?)?,
+            profile_values: checked::<f32>(read(ExtentKind::ProfileValues)?)?,
             planes: checked::<PlaneRecord>(read(ExtentKind::Planes)?)?,
             nodes: checked::<NodeRecord>(read(ExtentKind::Nodes)?)?,
             leaves: checked::<LeafRecord>(read(ExtentKind::Leaves)?)?,
@@ -144,6 +152,17 @@ impl Tables {
         {
             return bad("light");
         }
+        if !self
+            .lights()
+            .iter()
+            .all(|l| l.kind != LIGHT_PROFILE || (l.profile as usize) < self.profiles().len())
+            || !self
+                .profiles()
+                .iter()
+                .all(|p| Profile::new(p, self.profile_values()).is_ok_and(|p| p.check().is_ok()))
+        {
+            return bad("luminaire");
+        }
         Ok(())
     }
 
@@ -168,6 +187,10 @@ impl Tables {
         lights: LightRecord);
     table!(/// Emitting triangles, light by light.
         emitters: EmitterRecord);
+    table!(/// Measured intensities of luminaires, by profile id.
+        profiles: ProfileRecord);
+    table!(/// Values of the profiles.
+        profile_values: f32);
     table!(/// Planes of the BSP.
         planes: PlaneRecord);
     table!(/// Inner nodes of the BSP.
@@ -193,6 +216,14 @@ impl Tables {
     pub fn emitters_of(&self, light: &LightRecord) -> &[EmitterRecord] {
         let first = light.first_emitter as usize;
         &self.emitters()[first..first + light.emitter_count as usize]
+    }
+
+    /// The intensities of a light that was measured; none for other kinds.
+    pub fn profile_of(&self, light: &LightRecord) -> Option<Profile<'_>> {
+        if light.kind != LIGHT_PROFILE {
+            return None;
+        }
+        Profile::new(self.profiles().get(light.profile as usize)?, self.profile_values()).ok()
     }
 
     /// The portals that lead out of a room.

@@ -5,6 +5,7 @@
 //! meanwhile. Nothing that a user sees depends on the order of visits.
 #![forbid(unsafe_code)]
 
+mod counts;
 mod recorder;
 mod share;
 mod tracer;
@@ -32,6 +33,7 @@ use enf_store::{
 };
 use enf_transport::photon::Group;
 
+pub use counts::{Counts, PhotonCount};
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
 pub use share::Share;
@@ -93,6 +95,9 @@ pub struct TraceArgs {
     /// Photons that every light emits (k, M, G: powers of 1000) [default: 20k; demo: 50k]
     #[arg(long, value_name = "N", value_parser = parse_count)]
     pub photons_per_light: Option<u64>,
+    /// Photons of all lights together, shared by power: each carries the same flux
+    #[arg(long, value_name = "N", value_parser = parse_count, conflicts_with = "photons_per_light")]
+    pub photons: Option<u64>,
     /// Seconds between commits: a kill loses at most this much work (never changes a result)
     #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = parse_epoch)]
     pub epoch: Duration,
@@ -113,9 +118,12 @@ fn parse_epoch(text: &str) -> std::result::Result<Duration, String> {
 }
 
 impl TraceArgs {
-    /// Photons that every light emits.
-    pub fn photons(&self) -> u64 {
-        self.photons_per_light.unwrap_or(20_000)
+    /// How many photons are asked for.
+    pub fn count(&self) -> PhotonCount {
+        match self.photons {
+            Some(total) => PhotonCount::Total(total),
+            None => PhotonCount::PerLight(self.photons_per_light.unwrap_or(20_000)),
+        }
     }
 }
 
@@ -165,9 +173,10 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
         return Err(Failure::input(format!("{} has no light", cli.store.display()))
             .with_hint("partition it again with --ceiling-lights 500lx, or give a material Ke"));
     }
-    if cli.trace.photons() == 0 || cli.trace.photons() > u64::from(u32::MAX) {
-        return Err(Failure::usage("--photons-per-light takes 1 to 4294967295"));
-    }
+    let count = cli.trace.count();
+    let bytes = Counts::bytes(count, tables.lights().len());
+    let _counts = session.budget.reserve(bytes, "photons of each light")?;
+    let counts = Arc::new(Counts::new(count, tables.lights()).map_err(Failure::usage)?);
 
     if common.process != 0 {
         return Err(Failure::usage("enf-trace takes --share I/N in the place of --process"));
@@ -175,7 +184,10 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
 
     let mut identity = session::inherit(&store, StageKind::Partition)?;
     identity.push("seed", common.seed);
-    identity.push("photons-per-light", cli.trace.photons());
+    match count {
+        PhotonCount::PerLight(each) => identity.push("photons-per-light", each),
+        PhotonCount::Total(total) => identity.push("photons", total),
+    };
     let rooms = tables.rooms().len() as u32;
     let share = cli.trace.share;
     // Refused before anything is begun.
@@ -194,7 +206,8 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
                 Some(queues) => queues,
                 None => plan()?,
             };
-            let totals = trace(cli, &mut session, &tables, &grid, (*writer, &identity), &queues)?;
+            let totals =
+                trace(cli, &mut session, &tables, &grid, (*writer, &identity), &queues, &counts)?;
             report(cli, &mut session, &tables, &totals);
         }
     }
@@ -268,6 +281,7 @@ fn trace(
     grid: &StageReader,
     (writer, identity): (StageWriter, &Identity),
     shapes: &Queues,
+    counts: &Arc<Counts>,
 ) -> Result<Totals> {
     let share = cli.trace.share;
     let (common, queue) = (&cli.common, &cli.trace.queue);
@@ -281,18 +295,15 @@ fn trace(
         &budget,
         RowTable::new(rows, block),
         RowTable::new(photon_rows, photon_block),
+        Arc::clone(counts),
     )?;
     let (waiting, cursors) = recorder.resume_state();
     if resumed {
         say(common, "going on where the last run stopped");
     }
 
-    let context = Context {
-        tables,
-        bsp: tables.bsp()?,
-        seed: common.seed,
-        photons_per_light: cli.trace.photons(),
-    };
+    let context =
+        Context { tables, bsp: tables.bsp()?, seed: common.seed, counts: Arc::clone(counts) };
     let reader = TileReader {
         partition: &tables.partition,
         grid,
@@ -387,8 +398,26 @@ struct Driver<'a> {
 impl Driver<'_> {
     /// Starts of a tile: every light that may start there, all its photons and probes.
     fn starts(&self, tile: u32) -> u64 {
-        let lights = self.context.tables.lights_of(tile).len() as u64;
-        lights * (self.context.photons_per_light + PROBES_PER_LIGHT)
+        self.context.tables.lights_of(tile).iter().map(|&light| self.starts_of(light)).sum()
+    }
+
+    /// A light's photons, then its probes.
+    fn starts_of(&self, light: u32) -> u64 {
+        self.context.counts.of(light) + PROBES_PER_LIGHT
+    }
+
+    /// Where the start number `cursor` of a tile is: which of its lights, and which start of that.
+    fn place(&self, tile: u32, cursor: u64) -> (usize, u64) {
+        let lights = self.context.tables.lights_of(tile);
+        let mut first = cursor;
+        for (at, &light) in lights.iter().enumerate() {
+            let length = self.starts_of(light);
+            if first < length {
+                return (at, first);
+            }
+            first -= length;
+        }
+        (lights.len(), 0)
     }
 
     fn ask<T>(&self, message: impl FnOnce(Sender<T>) -> Message) -> Result<T> {
@@ -414,7 +443,7 @@ impl Driver<'_> {
             .iter()
             .map(|l| l.flux_w.iter().map(|&c| f64::from(c)).sum::<f64>())
             .sum();
-        let total = tables.lights().len() as u64 * self.context.photons_per_light;
+        let total = self.context.counts.total(tables.lights().len());
         let progress = Progress::new(self.common, "trace", Some(total), "photons");
         loop {
             let cache = &self.cache;
@@ -542,16 +571,19 @@ impl Driver<'_> {
         let unused: Vec<Extent> = extents.collect();
         let starts = self.starts(tile);
         let mut cursor = self.cursors.get(&tile).copied().unwrap_or(0);
-        let per_light = self.context.photons_per_light + PROBES_PER_LIGHT;
-        while outcome.is_ok() && cursor < starts && handed < VISIT_PHOTONS {
-            let lights = self.context.tables.lights_of(tile);
-            let light = lights[(cursor / per_light) as usize];
-            let first = cursor % per_light;
-            let count = JOB_PHOTONS.min(per_light - first);
+        let lights = self.context.tables.lights_of(tile);
+        let (mut at, mut first) = self.place(tile, cursor);
+        while outcome.is_ok() && at < lights.len() && handed < VISIT_PHOTONS {
+            let light = lights[at];
+            let count = JOB_PHOTONS.min(self.starts_of(light) - first);
             let work = Work::Emission { light, indices: first..first + count };
             outcome = self.send(Job { tile: Arc::clone(data), work }, &mut flying);
             cursor += count;
             handed += count;
+            first += count;
+            if first >= self.starts_of(light) {
+                (at, first) = (at + 1, 0);
+            }
         }
         self.cursors.insert(tile, cursor);
         // Every job that was handed out must come back, whatever went wrong.

@@ -3,6 +3,7 @@
 //! processes do with the same trace comes in here as well.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crossbeam::channel::{Receiver, Sender};
@@ -18,6 +19,7 @@ use enf_store::{
 };
 use zerocopy::{FromBytes, IntoBytes};
 
+use crate::counts::Counts;
 use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, Share};
 use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
 
@@ -138,6 +140,7 @@ pub(crate) struct Recorder {
     ledger: BTreeMap<u32, LedgerRecord>,
     passages: BTreeMap<(u32, u32), (u64, f64)>,
     sees: BTreeMap<(u32, u32), u64>,
+    counts: Arc<Counts>,
     /// What came since the last commit.
     epoch: Tally,
     uncommitted: u64,
@@ -156,6 +159,7 @@ impl Recorder {
         budget: &MemoryBudget,
         transit: RowTable<TransitRecord>,
         photons: RowTable<PhotonRecord>,
+        counts: Arc<Counts>,
     ) -> Result<Self, StoreError> {
         let mut recorder = Self {
             writer,
@@ -171,6 +175,7 @@ impl Recorder {
             ledger: BTreeMap::new(),
             passages: BTreeMap::new(),
             sees: BTreeMap::new(),
+            counts,
             epoch: Tally::default(),
             uncommitted: 0,
             committed_at: Instant::now(),
@@ -426,7 +431,12 @@ impl Recorder {
         let pairs: Vec<LightPairRecord> = epoch
             .sees
             .into_iter()
-            .map(|((room, light), photons)| LightPairRecord { room, light, photons })
+            .map(|((room, light), photons)| LightPairRecord {
+                room,
+                light,
+                photons,
+                emitted: self.counts.of(light),
+            })
             .collect();
         append(writer, ExtentKind::Ledger, 0, &ledger)?;
         append(writer, ExtentKind::Passages, 0, &passages)?;
@@ -455,7 +465,7 @@ impl Recorder {
             return Err(error.into());
         }
         self.commit()?;
-        let Self { writer, others, budget, mut ledger, mut passages, mut sees, .. } = self;
+        let Self { writer, others, counts, budget, mut ledger, mut passages, mut sees, .. } = self;
         let process = writer.process();
         let mut writer = Some(writer);
         let mut written = false;
@@ -478,7 +488,7 @@ impl Recorder {
                                 let old = reader.extents(ExtentKind::LightSet).to_vec();
                                 old.iter().for_each(|extent| own.consume(extent));
                             }
-                            write_light_sets(&mut own, &sees, rooms)?;
+                            write_light_sets(&mut own, &sees, &counts, rooms)?;
                             written = true;
                         }
                         match own.try_seal() {
@@ -529,6 +539,7 @@ fn light_pairs(
 fn write_light_sets(
     writer: &mut StageWriter,
     sees: &BTreeMap<(u32, u32), u64>,
+    counts: &Counts,
     rooms: u32,
 ) -> Result<(), StoreError> {
     let old = |e: &&Extent| e.kind == ExtentKind::LightSet;
@@ -537,7 +548,12 @@ fn write_light_sets(
     for room in 0..rooms {
         let lights: Vec<LightPairRecord> = sees
             .range((room, 0)..=(room, u32::MAX))
-            .map(|(&(room, light), &photons)| LightPairRecord { room, light, photons })
+            .map(|(&(room, light), &photons)| LightPairRecord {
+                room,
+                light,
+                photons,
+                emitted: counts.of(light),
+            })
             .collect();
         append(writer, ExtentKind::LightSet, room, &lights)?;
     }

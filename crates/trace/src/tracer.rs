@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use enf_layout::bsp::LeafRecord;
 use enf_layout::journal::LedgerRecord;
-use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT};
+use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT};
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
 use enf_layout::sections::Malformed;
 use enf_layout::transit::{TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
@@ -20,6 +20,8 @@ use enf_transport::photon::{self, Sink};
 use enf_transport::rng::{self, Purpose};
 use enf_transport::vector;
 use glam::Vec3;
+
+use crate::counts::Counts;
 
 /// Visibility probes per light, aimed at the portals of the rooms that the light is in (the paper, section 6).
 pub(crate) const PROBES_PER_LIGHT: u64 = 512;
@@ -187,7 +189,7 @@ pub(crate) struct Context<'a> {
     pub(crate) tables: &'a Tables,
     pub(crate) bsp: Bsp<'a>,
     pub(crate) seed: u64,
-    pub(crate) photons_per_light: u64,
+    pub(crate) counts: Arc<Counts>,
 }
 
 impl Context<'_> {
@@ -214,7 +216,7 @@ impl Context<'_> {
             Work::Emission { light, indices } => {
                 let mut indices = indices.clone();
                 photon::trace_all(&tile, self.seed, group, &mut products, |products| {
-                    indices.find_map(|index| match index.checked_sub(self.photons_per_light) {
+                    indices.find_map(|index| match index.checked_sub(self.counts.of(*light)) {
                         None => self.emit(&tile, *light, index as u32, products),
                         Some(probe) => self.probe(&tile, *light, probe as u32),
                     })
@@ -238,13 +240,14 @@ impl Context<'_> {
     ) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
-        let start = emission::start(self.seed, id, light, emitters, photon, tile.delta);
+        let profile = self.tables.profile_of(light);
+        let start = emission::start(self.seed, id, light, emitters, profile, photon, tile.delta);
         let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
         let leaf = self.bsp.locate_towards(origin, direction);
         if self.leaf(leaf).tile != tile.tile {
             return None;
         }
-        let flux = Vec3::from(light.flux_w) / self.photons_per_light as f32;
+        let flux = Vec3::from(light.flux_w) / self.counts.of(id) as f32;
         let room = self.leaf(self.bsp.locate(origin)).room;
         let ledger = products.tally.room(room);
         ledger.emitted += 1;
@@ -303,6 +306,12 @@ impl Context<'_> {
         let direction = (target - origin).normalize_or_zero();
         let one_sided = light.kind == LIGHT_AREA || light.kind == LIGHT_POINT_LAMBERT;
         if direction == Vec3::ZERO || (one_sided && direction.dot(point.normal) <= 0.0) {
+            return None;
+        }
+        // A lamp with a beam is not seen from beside it.
+        if let LIGHT_SPOT | LIGHT_PROFILE = light.kind
+            && emission::point_intensity(light, self.tables.profile_of(light), direction) <= 0.0
+        {
             return None;
         }
         let leaf = self.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3());

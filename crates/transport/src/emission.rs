@@ -1,9 +1,13 @@
 //! Where photons start. A start depends on (seed, light, index) alone.
 
 use enf_layout::NONE;
-use enf_layout::light::{EmitterRecord, LIGHT_AREA, LIGHT_POINT, LightRecord};
+use enf_layout::light::{
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_PROFILE, LIGHT_SPOT, LightRecord,
+};
+use enf_layout::profile::Profile;
 use glam::Vec3;
 
+use crate::lamp;
 use crate::rng::{self, Purpose};
 use crate::vector;
 
@@ -53,15 +57,26 @@ pub fn point_on(light: &LightRecord, emitters: &[EmitterRecord], u: [f32; 3]) ->
     }
 }
 
-/// The start of photon `photon` of light number `id`.
+/// The start of photon `photon` of light number `id`; `emitters` and `profile` are the light's own.
 pub fn start(
     seed: u64,
     id: u32,
     light: &LightRecord,
     emitters: &[EmitterRecord],
+    profile: Option<Profile<'_>>,
     photon: u32,
     delta: f32,
 ) -> Start {
+    if let LIGHT_SPOT | LIGHT_PROFILE = light.kind {
+        let u = rng::block(seed, Purpose::Emission, id, photon, 0, 0);
+        let v = rng::block(seed, Purpose::Emission, id, photon, 0, 1);
+        let w: [f64; 4] = std::array::from_fn(|i| rng::fine(u[i], v[i]));
+        let direction = match profile {
+            Some(profile) if light.kind == LIGHT_PROFILE => lamp::from_measured(light, &profile, w),
+            _ => lamp::from_spot(light, [w[0], w[1]]),
+        };
+        return Start { origin: Vec3::from(light.position), direction, triangle: NONE };
+    }
     let u = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 0);
     let v = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 1);
     let point = point_on(light, emitters, [u[0], u[1], u[2]]);
@@ -82,12 +97,13 @@ pub fn start(
     }
 }
 
-/// Radiant intensity per flux of a point light towards unit direction `to` (1/sr): 1/4pi, or
-/// cos(theta)/pi about the axis.
-pub fn point_intensity(light: &LightRecord, to: Vec3) -> f32 {
-    if light.kind == LIGHT_POINT {
-        core::f32::consts::FRAC_1_PI * 0.25
-    } else {
-        Vec3::from(light.axis).dot(to).max(0.0) * core::f32::consts::FRAC_1_PI
+/// Radiant intensity per flux of a point light towards `to`, 1/sr: 1/4pi, cos(theta)/pi about the axis, or what its
+/// cone or `profile` says. `to` has length 1.
+pub fn point_intensity(light: &LightRecord, profile: Option<Profile<'_>>, to: Vec3) -> f32 {
+    match light.kind {
+        LIGHT_POINT => core::f32::consts::FRAC_1_PI * 0.25,
+        LIGHT_SPOT => lamp::spot(light, to) as f32,
+        LIGHT_PROFILE => profile.map_or(0.0, |p| lamp::measured(light, &p, to) as f32),
+        _ => Vec3::from(light.axis).dot(to).max(0.0) * core::f32::consts::FRAC_1_PI,
     }
 }

@@ -38,6 +38,11 @@ pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
 
+/// A number in `[0, 1)` of 53 bits, from two words.
+pub fn fine(high: u32, low: u32) -> f64 {
+    (u64::from(high) << 21 | u64::from(low) >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
+}
+
 fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     const M0: u32 = 0xD251_1F53;
     const M1: u32 = 0xCD9E_8D57;
@@ -76,6 +81,8 @@ mod tests {
     #[test]
     fn uniforms_are_below_one_and_purposes_differ() {
         assert!(unit(u32::MAX) < 1.0);
+        assert!(fine(u32::MAX, u32::MAX) < 1.0);
+        assert_eq!((fine(0, 0), fine(1 << 31, 0), fine(0, 1 << 31)), (0.0, 0.5, 0.5f64.powi(33)));
         let a = block(1, Purpose::Emission, 2, 3, 0, 0);
         assert_ne!(a, block(1, Purpose::Probe, 2, 3, 0, 0));
         assert_ne!(a, block(1, Purpose::Emission, 2, 3, 1, 0));

@@ -56,6 +56,15 @@ pub(super) struct Light {
     pub(super) kind: String,
     pub(super) color: Option<[f64; 3]>,
     pub(super) intensity: Option<f64>,
+    pub(super) spot: Option<Spot>,
+}
+
+#[derive(Deserialize)]
+pub(super) struct Spot {
+    #[serde(rename = "innerConeAngle")]
+    pub(super) inner: Option<f64>,
+    #[serde(rename = "outerConeAngle")]
+    pub(super) outer: Option<f64>,
 }
 
 #[derive(Deserialize)]
