@@ -110,6 +110,8 @@ pub enum ExtentKind {
     LightPairs = 26,
     /// One tile's bounding volume hierarchy, a [`crate::sections`] blob of [`crate::bvh`]; id = tile.
     Bvh = 27,
+    /// One [`crate::sky::SkyRecord`], if the scene has a sky.
+    Sky = 32,
 }
 
 impl ExtentKind {
@@ -144,6 +146,7 @@ impl ExtentKind {
             Identity,
             LightPairs,
             Bvh,
+            Sky,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

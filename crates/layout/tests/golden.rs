@@ -20,7 +20,9 @@ use enf_layout::grid::{BrickRecord, GridHeader};
 use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
 };
-use enf_layout::light::{EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LightRecord};
+use enf_layout::light::{
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_SKY, LIGHT_SUN, LightRecord,
+};
 use enf_layout::map::MapHeader;
 use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};
 use enf_layout::photon::*;
@@ -29,6 +31,7 @@ use enf_layout::room::{
 };
 use enf_layout::sections::{SECTIONS_MAGIC, SectionRecord, SectionsHeader, Transform, build};
 use enf_layout::segment::*;
+use enf_layout::sky::SkyRecord;
 use enf_layout::transit::*;
 use enf_layout::{FORMAT_VERSION, NONE, codec, octahedral, rgbe};
 use zerocopy::IntoBytes;
@@ -221,6 +224,16 @@ fn records() -> Vec<Golden> {
             cumulative: 0.5,
             reserved: 0,
         }
+        SkyRecord {
+            scale: 12.5,
+            gradation: [-1.0, -0.32, 0.5],
+            indicatrix: [0.75, 10.0, -3.0, 0.45],
+            sun: [0.0, 0.6, 0.8],
+            sun_radius: 0.0046513,
+            sun_irradiance: [400.0, 500.0, 600.0],
+            color: [0.25, 1.0, 4.0],
+            ground: [7.0, 8.0, 9.0],
+        }
         GridHeader {
             min: [-1.0, -2.0, -3.0],
             max: [1.0, 2.0, 3.0],
@@ -352,6 +365,8 @@ fn numbers() -> String {
         ("LIGHT_AREA", LIGHT_AREA),
         ("LIGHT_POINT", LIGHT_POINT),
         ("LIGHT_POINT_LAMBERT", LIGHT_POINT_LAMBERT),
+        ("LIGHT_SKY", LIGHT_SKY),
+        ("LIGHT_SUN", LIGHT_SUN),
         ("MATERIAL_ONE_SIDED_EMITTER", MATERIAL_ONE_SIDED_EMITTER),
         ("MATERIAL_SEE_THROUGH", MATERIAL_SEE_THROUGH),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),
