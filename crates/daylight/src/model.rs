@@ -84,7 +84,8 @@ const TYPES: [[usize; 2]; 15] = [
 
 impl Pattern {
     /// One radiance everywhere.
-    pub const UNIFORM: Self = Self { gradation: [0.0, -1.0, 0.0], indicatrix: [1.0, 0.0, -1.0, 0.0] };
+    pub const UNIFORM: Self =
+        Self { gradation: [0.0, -1.0, 0.0], indicatrix: [1.0, 0.0, -1.0, 0.0] };
 
     /// A CIE sky, 1 to 16; other numbers are taken for the nearest of these.
     pub fn cie(number: u8) -> Self {
@@ -95,10 +96,7 @@ impl Pattern {
         let [gradation, indicatrix] = TYPES[usize::from(number.max(1)) - 1];
         let [a, b] = GRADATIONS[gradation - 1];
         let [c, d, e] = INDICATRICES[indicatrix - 1];
-        Self {
-            gradation: [a, b, 0.0],
-            indicatrix: [1.0 - c * libm::exp(d * FRAC_PI_2), c, d, e],
-        }
+        Self { gradation: [a, b, 0.0], indicatrix: [1.0 - c * libm::exp(d * FRAC_PI_2), c, d, e] }
     }
 
     /// Perez's sky for a sun at zenith distance `zenith` (radians) and the broadband irradiances of a weather record:
@@ -106,7 +104,12 @@ impl Pattern {
     ///
     /// # Errors
     /// When the sun is at or below the horizon, or there is no diffuse light.
-    pub fn perez(zenith: f64, diffuse: f64, direct: f64, day: Option<u32>) -> Result<Self, PerezError> {
+    pub fn perez(
+        zenith: f64,
+        diffuse: f64,
+        direct: f64,
+        day: Option<u32>,
+    ) -> Result<Self, PerezError> {
         if !(0.0..FRAC_PI_2).contains(&zenith) {
             return Err(PerezError::Night);
         }
@@ -278,7 +281,10 @@ mod tests {
                     for z in [0.0, 0.02, 0.3, 1.0] {
                         for cos in [-1.0, 0.0, 0.9, 1.0] {
                             let v = p.at(z, cos);
-                            assert!(v.is_finite() && v >= 0.0, "{zenith} {clearness} {brightness} {z}");
+                            assert!(
+                                v.is_finite() && v >= 0.0,
+                                "{zenith} {clearness} {brightness} {z}"
+                            );
                         }
                     }
                 }

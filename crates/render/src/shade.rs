@@ -22,10 +22,12 @@ use enf_transport::emission;
 use enf_transport::flight::{self, Flight, Resident, Surface};
 use enf_transport::rng::{self, Purpose};
 use enf_transport::scatter::{self, Lobes};
+use enf_transport::sky::Daylight;
 use enf_transport::vector;
 use glam::Vec3;
 
 use crate::camera::{self, View};
+use crate::daylight;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
@@ -112,6 +114,8 @@ pub(crate) struct Context<'a> {
     pub(crate) indirect: bool,
     /// Sums of the lights' powers, normalised to 1.
     pub(crate) power: &'a [f64],
+    /// The sky, if there is one.
+    pub(crate) daylight: Option<&'a Daylight>,
 }
 
 /// One thread's working memory.
@@ -148,6 +152,19 @@ impl Scratch {
             hits: Vec::new(),
         }
     }
+}
+
+/// Light that may arrive at a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sample {
+    /// Unit vector to where it comes from.
+    pub(crate) direction: Vec3,
+    /// How far that is, m; infinite for the sky.
+    pub(crate) distance: f32,
+    /// Irradiance over its density if nothing is in the way, W/m2.
+    pub(crate) irradiance: Vec3,
+    /// Global index of the triangle that it comes from, or [`NONE`].
+    pub(crate) triangle: u32,
 }
 
 /// A job at work.
@@ -313,7 +330,15 @@ impl Shader<'_> {
                 products.park(self.tile_of(leaf), *record);
                 return false;
             }
-            Flight::Escapes { .. } | Flight::Reached => return false,
+            Flight::Escapes { .. } => {
+                if let Some(daylight) = self.context.daylight {
+                    let seen = daylight.seen(Vec3::from(record.direction));
+                    let seen = Vec3::from(record.flux) * seen;
+                    self.film.add_direct(self.film_pixel(record), seen.to_array());
+                }
+                return false;
+            }
+            Flight::Reached => return false,
             Flight::Hit { hit, leaf } => {
                 record.leaf = leaf;
                 hit
@@ -448,6 +473,12 @@ impl Shader<'_> {
     /// An upper guess of a light's irradiance at a surface, up to a common factor: flux over distance squared,
     /// with the cosines at its nearest and best.
     fn importance(&self, light: &LightRecord, surface: &Surface) -> f32 {
+        if let Some(daylight) = self.context.daylight
+            && let Some(known) =
+                daylight::importance(daylight, light, surface.normal, self.outdoors())
+        {
+            return known;
+        }
         let to = Vec3::from(light.position) - surface.position;
         let reach = light.radius + 0.05;
         let square = to.length_squared() + reach * reach;
@@ -513,27 +544,15 @@ impl Shader<'_> {
             if probability <= 0.0 {
                 continue;
             }
-            let emitters = context.tables.emitters_of(light);
-            let point = emission::point_on(light, emitters, [v[0], v[1], v[2]]);
-            let to = point.position - surface.origin;
-            let square = to.length_squared();
-            let distance = square.sqrt();
-            let direction = to / distance;
-            let cos = direction.dot(surface.normal);
-            if cos <= 0.0 || !distance.is_finite() || distance <= 0.0 {
-                continue;
-            }
-            let flux = Vec3::from(light.flux_w);
-            // Irradiance of this sample if nothing is in the way.
-            let irradiance = if light.kind == LIGHT_AREA {
-                let cos_light = -direction.dot(point.normal);
-                if cos_light <= 0.0 {
-                    continue;
+            let sample = match context.daylight {
+                Some(daylight) if Daylight::is_daylight(light) => {
+                    let emitters = context.tables.emitters_of(light);
+                    daylight::sample(daylight, light, emitters, surface, v, self.outdoors())
                 }
-                // Le = flux / (pi A); density of the point is 1/A.
-                flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
-            } else {
-                flux * (emission::point_intensity(light, -direction) * cos / square)
+                _ => self.sample(light, surface, v),
+            };
+            let Some(Sample { direction, distance, irradiance, triangle }) = sample else {
+                continue;
             };
             let radiance = reflected * irradiance / (probability * count as f32);
             if radiance == Vec3::ZERO {
@@ -550,7 +569,7 @@ impl Shader<'_> {
                 bounce: 0,
                 flags: TRANSIT_SHADOW,
                 last_triangle: surface.triangle,
-                impacts: point.triangle,
+                impacts: triangle,
             };
             products.shadow += 1;
             let next = self.tile_of(shadow.leaf);
@@ -560,6 +579,38 @@ impl Shader<'_> {
                 products.park(next, shadow);
             }
         }
+    }
+
+    /// A point on a light, seen from a surface, from three uniform numbers; `None` where nothing can arrive from it.
+    fn sample(&self, light: &LightRecord, surface: &Surface, v: [f32; 3]) -> Option<Sample> {
+        let emitters = self.context.tables.emitters_of(light);
+        let point = emission::point_on(light, emitters, v);
+        let to = point.position - surface.origin;
+        let square = to.length_squared();
+        let distance = square.sqrt();
+        let direction = to / distance;
+        let cos = direction.dot(surface.normal);
+        if cos <= 0.0 || !distance.is_finite() || distance <= 0.0 {
+            return None;
+        }
+        let flux = Vec3::from(light.flux_w);
+        // Irradiance of this sample if nothing is in the way.
+        let irradiance = if light.kind == LIGHT_AREA {
+            let cos_light = -direction.dot(point.normal);
+            if cos_light <= 0.0 {
+                return None;
+            }
+            // Le = flux / (pi A); density of the point is 1/A.
+            flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
+        } else {
+            flux * (emission::point_intensity(light, -direction) * cos / square)
+        };
+        Some(Sample { direction, distance, irradiance, triangle: point.triangle })
+    }
+
+    /// Whether the room is the outside, where daylight comes from everywhere.
+    fn outdoors(&self) -> bool {
+        daylight::outdoors(self.context.tables, self.room)
     }
 
     /// What becomes of a shadow ray that meets `hit` next: what it carries reaches the film unless something opaque is in

@@ -9,6 +9,7 @@ use crate::{
     mtl::{self, Spec},
     obj::{self, Mesh},
     shape::{Lookup, Part, Position},
+    sky,
     stream::{Geometry, Glowing, MARK_EVERY, Scratch, Skipped, Use},
     views,
 };
@@ -651,6 +652,7 @@ impl Loader {
             ));
         }
         let measured = measure(&mut geometry, path, |material| table.emits(material))?;
+        let sky = parsed.map_or(Ok(None), sky::build)?;
         let mut points = parsed.map_or(Ok(Vec::new()), |p| point_lights(p, &frame))?;
         for light in self.lights {
             let position = frame.point(light.position.to_array());
@@ -741,6 +743,7 @@ impl Loader {
             materials: table.materials,
             views,
             hints,
+            sky,
             origin: frame.origin,
             bounds: (lo, hi),
             delta: tolerance(lo, hi),

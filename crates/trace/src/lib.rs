@@ -27,6 +27,7 @@ use enf_stage::{
 };
 use enf_store::{Buffer, Extent, MemoryBudget, Reservation, StageReader, StoreDir, StoreError};
 use enf_transport::photon::Group;
+use enf_transport::sky::{Daylight, Shell};
 
 pub use recorder::Totals;
 use recorder::{Message, Recorder, Status, Taken};
@@ -255,6 +256,7 @@ fn trace(
     let budget = session.budget.clone();
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
+    let (daylight, _daylight) = daylight(tables, &budget)?;
     let resumed = writer.resumed();
     let recorder = Recorder::new(
         writer,
@@ -272,6 +274,7 @@ fn trace(
         bsp: tables.bsp()?,
         seed: common.seed,
         photons_per_light: cli.trace.photons(),
+        daylight,
     };
     let reader = TileReader {
         partition: &tables.partition,
@@ -517,6 +520,25 @@ impl Driver<'_> {
         *flying += 1;
         Ok(())
     }
+}
+
+/// The daylight of a scene that has a sky, and the memory that it takes.
+///
+/// # Errors
+/// Exit 3 when it does not fit.
+pub fn daylight(
+    tables: &Tables,
+    budget: &MemoryBudget,
+) -> Result<(Option<Daylight>, Option<Reservation>)> {
+    let Some(sky) = &tables.sky else { return Ok((None, None)) };
+    let (lights, emitters) = (tables.lights(), tables.emitters());
+    let openings = lights.iter().filter(|l| Daylight::is_daylight(l)).count();
+    let bytes = Daylight::bytes(lights.len(), emitters.len(), openings);
+    let reservation = budget.reserve(bytes, "the sky and its openings")?;
+    let scene = &tables.scene;
+    let shell = Shell::new(scene.bounds_min, scene.bounds_max);
+    let daylight = Daylight::new(sky, shell, scene.delta, lights, emitters);
+    Ok((Some(daylight), Some(reservation)))
 }
 
 /// Puts the loads per tile into a report.

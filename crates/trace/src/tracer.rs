@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use enf_layout::bsp::LeafRecord;
 use enf_layout::journal::LedgerRecord;
-use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT};
+use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_SKY, LIGHT_SUN};
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
 use enf_layout::sections::Malformed;
 use enf_layout::transit::{TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
@@ -14,10 +14,11 @@ use enf_rooms::Bsp;
 use enf_stage::resident::TileData;
 use enf_stage::tables::Tables;
 use enf_store::Buffer;
-use enf_transport::emission;
+use enf_transport::emission::{self, Start};
 use enf_transport::flight::Resident;
 use enf_transport::photon::{self, Sink};
 use enf_transport::rng::{self, Purpose};
+use enf_transport::sky::Daylight;
 use enf_transport::vector;
 use glam::Vec3;
 
@@ -188,6 +189,7 @@ pub(crate) struct Context<'a> {
     pub(crate) bsp: Bsp<'a>,
     pub(crate) seed: u64,
     pub(crate) photons_per_light: u64,
+    pub(crate) daylight: Option<Daylight>,
 }
 
 impl Context<'_> {
@@ -238,18 +240,45 @@ impl Context<'_> {
     ) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
+        if let Some(daylight) = &self.daylight
+            && Daylight::is_daylight(light)
+        {
+            let arrival = daylight.emit(self.seed, id, light, emitters, photon);
+            let flux = arrival.flux / self.photons_per_light as f32;
+            let owned = || flux != Vec3::ZERO && daylight.owns(&arrival);
+            return self.launch(tile, id, photon, &arrival.start, flux, owned, products);
+        }
         let start = emission::start(self.seed, id, light, emitters, photon, tile.delta);
+        let flux = Vec3::from(light.flux_w) / self.photons_per_light as f32;
+        self.launch(tile, id, photon, &start, flux, || true, products)
+    }
+
+    /// Enters a photon that starts in the tile into the ledger. One whose light is another photon's (it is not `owned`)
+    /// escapes at once, without flux.
+    #[allow(clippy::too_many_arguments)]
+    fn launch(
+        &self,
+        tile: &Resident<'_>,
+        id: u32,
+        photon: u32,
+        start: &Start,
+        flux: Vec3,
+        owned: impl FnOnce() -> bool,
+        products: &mut Products,
+    ) -> Option<TransitRecord> {
         let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
         let leaf = self.bsp.locate_towards(origin, direction);
         if self.leaf(leaf).tile != tile.tile {
             return None;
         }
-        let flux = Vec3::from(light.flux_w) / self.photons_per_light as f32;
         let room = self.leaf(self.bsp.locate(origin)).room;
-        let ledger = products.tally.room(room);
-        ledger.emitted += 1;
-        add3(&mut ledger.emitted_w, flux);
+        products.tally.room(room).emitted += 1;
         products.tally.traced += 1;
+        if !owned() {
+            products.escaped(room, 0, Vec3::ZERO);
+            return None;
+        }
+        add3(&mut products.tally.room(room).emitted_w, flux);
         Some(TransitRecord {
             origin: start.origin.to_array(),
             direction: start.direction.to_array(),
@@ -269,11 +298,14 @@ impl Context<'_> {
     fn probe(&self, tile: &Resident<'_>, id: u32, probe: u32) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
+        if light.kind == LIGHT_SUN || Daylight::is_everywhere(light) {
+            // The sun shines in one direction, and what comes through no opening is nobody's in particular.
+            return None;
+        }
         let u = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 0);
         let v = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 1);
         let point = emission::point_on(light, emitters, [u[0], u[1], u[2]]);
-        let lift =
-            if light.kind == LIGHT_AREA { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
+        let lift = if !emitters.is_empty() { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
         let origin = point.position + point.normal * lift;
         let room = self.leaf(self.bsp.locate(origin.as_dvec3())).room;
         let portals = self.tables.portals_of(room);
@@ -301,7 +333,7 @@ impl Context<'_> {
         let (s, t) = vector::triangle(v[2], v[3]);
         let target = a * (1.0 - s - t) + b * s + c * t;
         let direction = (target - origin).normalize_or_zero();
-        let one_sided = light.kind == LIGHT_AREA || light.kind == LIGHT_POINT_LAMBERT;
+        let one_sided = matches!(light.kind, LIGHT_AREA | LIGHT_POINT_LAMBERT | LIGHT_SKY);
         if direction == Vec3::ZERO || (one_sided && direction.dot(point.normal) <= 0.0) {
             return None;
         }

@@ -10,4 +10,5 @@ pub mod flight;
 pub mod photon;
 pub mod rng;
 pub mod scatter;
+pub mod sky;
 pub mod vector;
