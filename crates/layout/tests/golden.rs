@@ -380,6 +380,7 @@ fn numbers() -> String {
         ("TRANSIT_PROBE", TRANSIT_PROBE.into()),
         ("TRANSIT_CAMERA", TRANSIT_CAMERA.into()),
         ("TRANSIT_SHADOW", TRANSIT_SHADOW.into()),
+        ("TRANSIT_AIMED", TRANSIT_AIMED.into()),
     ] {
         line(name, value.into());
     }

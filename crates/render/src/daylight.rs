@@ -48,59 +48,68 @@ pub(crate) fn power(lights: &[LightRecord]) -> Vec<f64> {
         .collect()
 }
 
-/// Turns a room's set of lights (ascending ids with shares) into what its points ask: the sun of any opening becomes
-/// the sun; outside, sky and sun are always there.
-pub(crate) fn adapt(lights: &mut Vec<(u32, f32)>, tables: &Tables, room: u32) {
+/// Turns a room's set of lights (ascending ids with shares) into what its points choose from, and says whether they ask for the
+/// sun besides: where it shines through any opening, and outside.
+pub(crate) fn adapt(lights: &mut Vec<(u32, f32)>, tables: &Tables, room: u32) -> bool {
     let all = tables.lights();
-    let everywhere: Vec<u32> = (0..all.len() as u32)
-        .rev()
-        .take(2)
-        .filter(|&id| Daylight::is_everywhere(&all[id as usize]))
-        .collect();
-    if everywhere.is_empty() {
-        return;
-    }
     let outdoors = outdoors(tables, room);
-    let mut sun_share = 0.0f32;
-    lights.retain(|&(id, share)| {
+    let mut sun = false;
+    lights.retain(|&(id, _)| {
         let light = &all[id as usize];
-        if light.kind == LIGHT_SUN {
-            sun_share = sun_share.max(share);
-        }
+        sun |= light.kind == LIGHT_SUN;
         // The light of an opening is that of its room, not of the outside.
-        light.kind != LIGHT_SUN
-            && !(outdoors && Daylight::is_daylight(light) && light.emitter_count > 0)
+        light.kind != LIGHT_SUN && !(outdoors && Daylight::is_daylight(light))
     });
-    for &id in everywhere.iter().rev() {
-        let sun = all[id as usize].kind == LIGHT_SUN;
-        let share = match (outdoors, sun) {
-            (true, _) => 1.0,
-            (false, true) => sun_share,
-            (false, false) => continue,
-        };
-        if share > 0.0 {
-            match lights.binary_search_by_key(&id, |l| l.0) {
-                Ok(at) => lights[at].1 = share,
-                Err(at) => lights.insert(at, (id, share)),
+    if outdoors {
+        // Sky and sun that come through no opening are the last of all lights.
+        let last = all.len().saturating_sub(2)..all.len();
+        for id in last.filter(|&id| Daylight::is_everywhere(&all[id])) {
+            if all[id].kind == LIGHT_SUN {
+                sun = true;
+            } else {
+                lights.push((id as u32, 1.0));
             }
         }
     }
+    sun
 }
 
 /// Importance of a light at a surface, where daylight has its own: in the unit of lights that have a place, flux over
-/// distance squared (pi times the irradiance of a source straight above). `None` for others.
+/// distance squared (pi times the irradiance). `None` for others.
 pub(crate) fn importance(
     daylight: &Daylight,
     light: &LightRecord,
     normal: Vec3,
     outdoors: bool,
 ) -> Option<f32> {
-    if Daylight::is_everywhere(light) {
-        let guess = core::f32::consts::PI * daylight.guess(light, normal);
-        let cracks = !outdoors && light.kind != LIGHT_SUN;
-        return Some(if cracks { guess * THROUGH_CRACKS } else { guess });
+    if light.kind == LIGHT_SUN || (outdoors && !Daylight::is_everywhere(light)) {
+        return Daylight::is_daylight(light).then_some(0.0);
     }
-    (light.kind == LIGHT_SUN || (Daylight::is_daylight(light) && outdoors)).then_some(0.0)
+    if !Daylight::is_everywhere(light) {
+        return None;
+    }
+    let guess = core::f32::consts::PI * daylight.guess(normal);
+    Some(if outdoors { guess } else { guess * THROUGH_CRACKS })
+}
+
+/// What a shading point asks for anyway.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asked {
+    /// It lies outside.
+    pub(crate) outdoors: bool,
+    /// It asks for the sun on its own.
+    pub(crate) sun: bool,
+}
+
+fn far(direction: Vec3, irradiance: Vec3) -> Option<Sample> {
+    Some(Sample { direction, distance: f32::INFINITY, irradiance, triangle: NONE })
+}
+
+/// A direction to the sun's disc from two uniform numbers; `None` where it cannot arrive.
+pub(crate) fn sun(daylight: &Daylight, surface: &Surface, u: [f32; 2]) -> Option<Sample> {
+    let direction = daylight.sample_sun(u);
+    let cos = direction.dot(surface.normal);
+    if cos > 0.0 { far(direction, daylight.sun_irradiance() * cos) } else { None }
 }
 
 /// A direction to a daylight light from three uniform numbers; `None` where nothing arrives, or what does is another
@@ -111,13 +120,13 @@ pub(crate) fn sample(
     emitters: &[EmitterRecord],
     surface: &Surface,
     v: [f32; 3],
-    outdoors: bool,
+    Asked { outdoors, sun }: Asked,
 ) -> Option<Sample> {
-    let far = |direction: Vec3, irradiance: Vec3| {
-        Some(Sample { direction, distance: f32::INFINITY, irradiance, triangle: NONE })
-    };
+    if light.kind == LIGHT_SUN && (sun || !Daylight::is_everywhere(light)) {
+        return None;
+    }
     if !Daylight::is_everywhere(light) {
-        if light.kind == LIGHT_SUN || outdoors {
+        if outdoors {
             return None;
         }
         let point = emission::point_on(light, emitters, v);
@@ -135,9 +144,7 @@ pub(crate) fn sample(
         return far(direction, daylight.radiance(direction) * (cos * solid));
     }
     if light.kind == LIGHT_SUN {
-        let direction = daylight.sample_sun([v[0], v[1]]);
-        let cos = direction.dot(surface.normal);
-        return if cos > 0.0 { far(direction, daylight.sun_irradiance() * cos) } else { None };
+        return self::sun(daylight, surface, [v[0], v[1]]);
     }
     let (direction, density) = daylight.sample(v);
     let cos = direction.dot(surface.normal);

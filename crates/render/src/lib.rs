@@ -599,7 +599,7 @@ impl Driver<'_> {
         if lights.iter().any(|l| l.0 as usize >= self.context.tables.lights().len()) {
             return Err(Failure::input(format!("the light set of room {room} is damaged")));
         }
-        daylight::adapt(&mut lights, self.context.tables, room);
+        let sun = daylight::adapt(&mut lights, self.context.tables, room);
         let map = if self.context.indirect {
             let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
             let photons = extent.count as usize;
@@ -620,7 +620,7 @@ impl Driver<'_> {
         } else {
             None
         };
-        let light = Arc::new(RoomLight { map, lights });
+        let light = Arc::new(RoomLight { map, lights, sun });
         self.lights.insert(room, (self.clock, Arc::clone(&light)));
         Ok(light)
     }

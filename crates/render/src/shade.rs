@@ -40,6 +40,8 @@ pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
     /// Ascending light ids, and how much of the room each lights: a factor of its importance.
     pub(crate) lights: Vec<(u32, f32)>,
+    /// Whether the sun shines in: then each point asks for it, beside those.
+    pub(crate) sun: bool,
 }
 
 /// A photon map in memory, and the irradiance that was gathered from it so far.
@@ -175,6 +177,7 @@ struct Shader<'a> {
     map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     portals: PortalSet<'a>,
     lights: &'a [(u32, f32)],
+    sun: bool,
     film: &'a Film,
     first_pixel: u32,
 }
@@ -229,6 +232,7 @@ impl Context<'_> {
             },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
+            sun: job.light.sun,
             film: &job.film,
             first_pixel: job.first_pixel,
         };
@@ -547,37 +551,65 @@ impl Shader<'_> {
             let sample = match context.daylight {
                 Some(daylight) if Daylight::is_daylight(light) => {
                     let emitters = context.tables.emitters_of(light);
-                    daylight::sample(daylight, light, emitters, surface, v, self.outdoors())
+                    let asked = daylight::Asked { outdoors: self.outdoors(), sun: self.sun };
+                    daylight::sample(daylight, light, emitters, surface, v, asked)
                 }
                 _ => self.sample(light, surface, v),
             };
             let Some(Sample { direction, distance, irradiance, triangle }) = sample else {
                 continue;
             };
-            let radiance = reflected * irradiance / (probability * count as f32);
-            if radiance == Vec3::ZERO {
-                continue;
-            }
-            let shadow = TransitRecord {
-                origin: surface.origin.to_array(),
-                direction: direction.to_array(),
-                flux: radiance.to_array(),
-                t: 0.0,
-                leaf: self.tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3()),
-                light: record.light,
-                photon: distance.to_bits(),
-                bounce: 0,
-                flags: TRANSIT_SHADOW,
-                last_triangle: surface.triangle,
-                impacts: triangle,
+            let irradiance = irradiance / (probability * count as f32);
+            let sample = Sample { direction, distance, irradiance, triangle };
+            self.ask(record, surface, reflected, &sample, scratch, products);
+        }
+        if let (Some(daylight), true) = (context.daylight, self.sun) {
+            // The sun is in one place: it is asked for on its own, for little else is seen beside it otherwise.
+            let index = record.photon;
+            let place = |dimension: usize, shift: u32| {
+                rng::unit(index.wrapping_mul(KRONECKER[dimension]).wrapping_add(shift))
             };
-            products.shadow += 1;
-            let next = self.tile_of(shadow.leaf);
-            if next == self.tile.tile {
-                scratch.shadows.push(shadow);
-            } else {
-                products.park(next, shadow);
+            let at = [place(0, s[2]), place(1, s[3])];
+            if let Some(sample) = daylight::sun(daylight, surface, at) {
+                self.ask(record, surface, reflected, &sample, scratch, products);
             }
+        }
+    }
+
+    /// Sends a shadow ray after a sample.
+    fn ask(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        reflected: Vec3,
+        sample: &Sample,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let radiance = reflected * sample.irradiance;
+        if radiance == Vec3::ZERO {
+            return;
+        }
+        let (origin, direction) = (surface.origin, sample.direction);
+        let shadow = TransitRecord {
+            origin: origin.to_array(),
+            direction: direction.to_array(),
+            flux: radiance.to_array(),
+            t: 0.0,
+            leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
+            light: record.light,
+            photon: sample.distance.to_bits(),
+            bounce: 0,
+            flags: TRANSIT_SHADOW,
+            last_triangle: surface.triangle,
+            impacts: sample.triangle,
+        };
+        products.shadow += 1;
+        let next = self.tile_of(shadow.leaf);
+        if next == self.tile.tile {
+            scratch.shadows.push(shadow);
+        } else {
+            products.park(next, shadow);
         }
     }
 

@@ -13,6 +13,10 @@
 //! Either rule gives each line once; the two need not agree, for photons and shadow rays are never added up: direct light
 //! comes from one of them alone.
 //!
+//! What the outside reflects is aimed as well: a photon of the light without an opening carries a share of the whole
+//! scene's sky, far too much to enter a room in one piece. Where such a photon is reflected outside, smaller ones are sent
+//! towards openings ([`Daylight::aim`]), and it ends should it set out for one itself ([`Daylight::is_aimed`]).
+//!
 //! Directions are drawn from a table of radiance times cosine, cells of equal solid angle, and weighted with the exact
 //! radiance over the exact density. So the table may be coarse, and no weight is far from 1.
 
@@ -25,6 +29,7 @@ use enf_layout::sky::SkyRecord;
 use glam::{DVec3, Vec3};
 
 use crate::emission::{self, Start};
+use crate::flight::Surface;
 use crate::rng::{self, Purpose};
 use crate::vector;
 
@@ -40,6 +45,12 @@ const STEPS: u32 = 1 << 24;
 const CELL_SINE: f64 = 0.3;
 /// Axes that agree to this share a table.
 const SAME_AXIS: f64 = 0.9999;
+/// Openings that are tried for a photon that is aimed.
+const CANDIDATES: usize = 8;
+/// Most photons that one is split into.
+pub const MOST_AIMED: usize = 16;
+/// Light is aimed at openings until chance would send so many times more of it there.
+const BY_CHANCE: f64 = 8.0;
 /// Start points lie this share of the root box's margin outside the scene's bounds.
 const OUT: f64 = 0.75;
 
@@ -211,13 +222,16 @@ struct Openings {
     nodes: Vec<OpeningNode>,
 }
 
-/// A box: of triangles `first..first + count`, or, with `count` 0, of node `first` and the node after this one.
+/// A box of the triangles `begin..end`; its halves are the next node and the node `right`, or it has none (`right` 0).
 #[derive(Clone, Copy, Debug)]
 struct OpeningNode {
     min: DVec3,
     max: DVec3,
-    first: u32,
-    count: u32,
+    /// Of the triangles in it, m2.
+    area: f64,
+    begin: u32,
+    end: u32,
+    right: u32,
 }
 
 impl Openings {
@@ -232,10 +246,19 @@ impl Openings {
         Self { triangles, nodes }
     }
 
-    /// Whether a ray passes a triangle before `reach`, in the direction that it faces (`inwards`) or against it.
-    fn passed(&self, origin: DVec3, direction: DVec3, reach: f64, inwards: bool) -> bool {
+    /// The first triangle (and its distance) that a ray passes before `reach`, in the direction that it faces (`inwards`) or
+    /// against it; with `any`, some triangle.
+    fn passed(
+        &self,
+        origin: DVec3,
+        direction: DVec3,
+        mut reach: f64,
+        inwards: bool,
+        any: bool,
+    ) -> Option<(usize, f64)> {
+        let mut found = None;
         if self.nodes.is_empty() {
-            return false;
+            return found;
         }
         let inverse = direction.recip();
         let mut stack = [0u32; 64];
@@ -247,34 +270,97 @@ impl Openings {
             if !node.hit(origin, inverse, reach) {
                 continue;
             }
-            if node.count == 0 {
+            if node.right != 0 {
                 // Halves of halves: 32 levels hold any number of triangles.
-                stack[depth] = node.first;
+                stack[depth] = node.right;
                 stack[depth + 1] = at + 1;
                 depth += 2;
                 continue;
             }
-            let first = node.first as usize;
-            for triangle in &self.triangles[first..first + node.count as usize] {
-                if passes(triangle, origin, direction, reach, inwards) {
-                    return true;
+            for i in node.begin as usize..node.end as usize {
+                if let Some(t) = passes(&self.triangles[i], origin, direction, reach, inwards) {
+                    (found, reach) = (Some((i, t)), t);
+                    if any {
+                        return found;
+                    }
                 }
             }
         }
-        false
+        found
+    }
+
+    /// A triangle for a point, and its probability, from a uniform number: near and large ones are likelier (a tree of
+    /// lights after Conty and Kulla 2018, "Importance sampling of many lights with adaptive tree splitting", by area and
+    /// distance alone).
+    fn pick(&self, point: DVec3, mut u: f64) -> Option<(usize, f64)> {
+        let mut at = 0;
+        let mut probability = 1.0;
+        let mut node = self.nodes.first()?;
+        while node.right != 0 {
+            let left = self.left_share(at, point);
+            if u < left {
+                (at, probability, u) = (at + 1, probability * left, u / left);
+            } else {
+                u = (u - left) / (1.0 - left);
+                (at, probability) = (node.right as usize, probability * (1.0 - left));
+            }
+            node = &self.nodes[at];
+        }
+        let mut place = u * node.area;
+        let mut chosen = node.begin as usize;
+        for i in chosen..node.end as usize {
+            chosen = i;
+            place -= area(&self.triangles[i]);
+            if place < 0.0 {
+                break;
+            }
+        }
+        Some((chosen, probability * area(&self.triangles[chosen]) / node.area))
+    }
+
+    /// The probability with which [`Openings::pick`] chooses a triangle.
+    fn probability(&self, point: DVec3, triangle: usize) -> f64 {
+        let mut at = 0;
+        let mut probability = 1.0;
+        let Some(mut node) = self.nodes.first() else { return 0.0 };
+        while node.right != 0 {
+            let left = self.left_share(at, point);
+            if triangle < self.nodes[at + 1].end as usize {
+                (at, probability) = (at + 1, probability * left);
+            } else {
+                (at, probability) = (node.right as usize, probability * (1.0 - left));
+            }
+            node = &self.nodes[at];
+        }
+        probability * area(&self.triangles[triangle]) / node.area
+    }
+
+    fn left_share(&self, at: usize, point: DVec3) -> f64 {
+        let weight = |node: &OpeningNode| {
+            let half = (node.max - node.min).length_squared() / 4.0;
+            let square = (point - (node.min + node.max) / 2.0).length_squared();
+            node.area / square.max(half).max(f64::MIN_POSITIVE)
+        };
+        let (left, right) =
+            (weight(&self.nodes[at + 1]), weight(&self.nodes[self.nodes[at].right as usize]));
+        left / (left + right)
     }
 }
 
-fn build(all: &mut [[DVec3; 3]], first: usize, end: usize, nodes: &mut Vec<OpeningNode>) {
-    let own = &mut all[first..end];
+fn area([a, b, c]: &[DVec3; 3]) -> f64 {
+    (*b - *a).cross(*c - *a).length() / 2.0
+}
+
+fn build(all: &mut [[DVec3; 3]], begin: usize, end: usize, nodes: &mut Vec<OpeningNode>) {
+    let own = &mut all[begin..end];
     let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
     for corner in own.iter().flatten() {
         (min, max) = (min.min(*corner), max.max(*corner));
     }
     let at = nodes.len();
-    let count = if own.len() <= Openings::LEAF { own.len() as u32 } else { 0 };
-    nodes.push(OpeningNode { min, max, first: first as u32, count });
-    if count > 0 {
+    let sum = own.iter().map(area).sum();
+    nodes.push(OpeningNode { min, max, area: sum, begin: begin as u32, end: end as u32, right: 0 });
+    if own.len() <= Openings::LEAF {
         return;
     }
     let size = max - min;
@@ -285,9 +371,9 @@ fn build(all: &mut [[DVec3; 3]], first: usize, end: usize, nodes: &mut Vec<Openi
         let place = |t: &[DVec3; 3]| t[0][axis] + t[1][axis] + t[2][axis];
         place(a).total_cmp(&place(b))
     });
-    let half = first + (end - first) / 2;
-    build(all, first, half, nodes);
-    nodes[at].first = nodes.len() as u32;
+    let half = begin + (end - begin) / 2;
+    build(all, begin, half, nodes);
+    nodes[at].right = nodes.len() as u32;
     build(all, half, end, nodes);
 }
 
@@ -312,21 +398,21 @@ fn passes(
     direction: DVec3,
     reach: f64,
     inwards: bool,
-) -> bool {
+) -> Option<f64> {
     let (e1, e2) = (*b - *a, *c - *a);
     let normal = e1.cross(e2);
     let along = normal.dot(direction);
     if along == 0.0 || (along > 0.0) != inwards {
-        return false;
+        return None;
     }
     let from = *a - origin;
     let t = normal.dot(from) / along;
     if !(t > 0.0 && t < reach) {
-        return false;
+        return None;
     }
     let across = direction.cross(from);
     let (u, v) = (-e2.dot(across) / along, e1.dot(across) / along);
-    u >= 0.0 && v >= 0.0 && u + v <= 1.0
+    (u >= 0.0 && v >= 0.0 && u + v <= 1.0).then_some(t)
 }
 
 /// A photon of daylight where it enters the scene.
@@ -355,6 +441,8 @@ pub struct Daylight {
     tolerance: f64,
     /// Irradiance of a surface that looks up, and of one that looks down (scalar, without the sun), W/m2.
     level: [f32; 2],
+    /// Mean flux (scalar, W) of the lights that come through openings.
+    usual: f32,
 }
 
 impl Daylight {
@@ -399,14 +487,20 @@ impl Daylight {
         let mut axes: Vec<DVec3> = Vec::new();
         let mut table_of = vec![NONE; lights.len()];
         let mut triangles = Vec::new();
+        let (mut last, mut aimed, mut aiming) = (None, 0.0, 0.0f64);
         for (light, table) in lights.iter().zip(&mut table_of) {
             if !Self::is_daylight(light) || light.emitter_count == 0 {
                 continue;
             }
-            // Sky and sun of one opening list its triangles twice, which does no harm.
             let first = light.first_emitter as usize;
             let own = emitters.get(first..first + light.emitter_count as usize).unwrap_or(&[]);
-            triangles.extend(own.iter().map(|e| e.corners.map(|c| Vec3::from(c).as_dvec3())));
+            // Sky and sun of one opening share its triangles, and follow each other.
+            if last != Some(first) {
+                triangles.extend(own.iter().map(|e| e.corners.map(|c| Vec3::from(c).as_dvec3())));
+            }
+            last = Some(first);
+            aimed += f64::from(vector::luminance(Vec3::from(light.flux_w)));
+            aiming += 1.0;
             if light.kind == LIGHT_SUN {
                 continue;
             }
@@ -432,6 +526,7 @@ impl Daylight {
             openings: Openings::new(triangles),
             tolerance,
             level,
+            usual: (aimed / aiming.max(1.0)) as f32,
         }
     }
 
@@ -498,14 +593,109 @@ impl Daylight {
     pub fn owns(&self, arrival: &Arrival) -> bool {
         let Start { origin, direction, .. } = arrival.start;
         let reach = arrival.reach - self.tolerance;
-        !self.openings.passed(origin.as_dvec3(), direction.as_dvec3(), reach, true)
+        self.openings.passed(origin.as_dvec3(), direction.as_dvec3(), reach, true, true).is_none()
+    }
+
+    /// Photons that a surface outside sends through openings, of light that it reflects diffusely (`reflected`, W): `found` gets the
+    /// direction and the flux of each, and the key of its random numbers. `key` is light, photon and bounce of the one that
+    /// was reflected, `count` the number of photons of a light: there will be as many as
+    /// bring their fluxes near that of photons that come through openings by themselves, up to [`MOST_AIMED`].
+    ///
+    /// Candidates are drawn from the openings' triangles, near ones likelier, and some of them chosen by what they are worth
+    /// (Talbot, Cline and Egbert 2005, "Importance resampling for global illumination").
+    /// Directions that are likelier to be met by chance than by aim are left to chance: [`Daylight::is_aimed`].
+    pub fn aim(
+        &self,
+        seed: u64,
+        key: (u32, u32, u16),
+        surface: &Surface,
+        reflected: Vec3,
+        count: u64,
+        mut found: impl FnMut(Vec3, Vec3, u32),
+    ) {
+        let (light, photon, bounce) = key;
+        let (point, normal) = (surface.origin.as_dvec3(), surface.normal.as_dvec3());
+        let numbers = |index| rng::block(seed, Purpose::Aim, light, photon, bounce, index);
+        let mut candidates = [(DVec3::ZERO, 0.0f64, 0.0f64); CANDIDATES];
+        let mut total = 0.0;
+        for (i, candidate) in candidates.iter_mut().enumerate() {
+            let [a, b, c, d] = numbers(i as u8);
+            // 56 bits: a tree may be deep.
+            let u = (f64::from(a) + f64::from(b >> 8) / 16_777_216.0) / 4_294_967_296.0;
+            let Some((triangle, probability)) = self.openings.pick(point, u) else { return };
+            let (v, w) = vector::triangle(rng::unit(c), rng::unit(d));
+            let [p, q, r] = self.openings.triangles[triangle];
+            let to = p + (q - p) * f64::from(v) + (r - p) * f64::from(w) - point;
+            let distance = to.length();
+            let towards = to / distance;
+            let cos = towards.dot(normal);
+            let share = self.share(triangle, towards, distance, probability);
+            if cos > 0.0 && share > 0.0 && share <= BY_CHANCE {
+                *candidate = (towards, cos * share, distance);
+                total += cos * share;
+            }
+        }
+        if total <= 0.0 {
+            return;
+        }
+        let flux = reflected * (total / CANDIDATES as f64) as f32;
+        let wanted = vector::luminance(flux) * count as f32 / self.usual.max(f32::MIN_POSITIVE);
+        let last = numbers(CANDIDATES as u8);
+        let (times, flux) = if wanted >= 1.0 {
+            let times = wanted.ceil().min(MOST_AIMED as f32);
+            (times as u32, flux / times)
+        } else {
+            // Photons that would carry too little are bundled.
+            let survival = wanted.max(0.05);
+            if rng::unit(last[0]) >= survival {
+                return;
+            }
+            (1, flux / survival)
+        };
+        for i in 0..times {
+            let numbers = numbers((CANDIDATES + 1) as u8 + i as u8);
+            let mut place = f64::from(rng::unit(numbers[0])) * total;
+            let chosen = candidates.iter().find(|c| {
+                place -= c.1;
+                place < 0.0
+            });
+            let Some(&(towards, _, distance)) = chosen.or(candidates.iter().rfind(|c| c.1 > 0.0))
+            else {
+                continue;
+            };
+            // A line belongs to the first opening on it.
+            let reach = distance - self.tolerance;
+            if self.openings.passed(point, towards, reach, true, true).is_none() {
+                found(towards.as_vec3().normalize(), flux, numbers[1]);
+            }
+        }
+    }
+
+    /// Whether light that a surface outside reflects from `origin` towards a direction is carried by photons that
+    /// [`Daylight::aim`] sends: its first opening is not too near to be aimed at.
+    pub fn is_aimed(&self, origin: Vec3, direction: Vec3) -> bool {
+        let (origin, direction) = (origin.as_dvec3(), direction.as_dvec3());
+        let first = self.openings.passed(origin, direction, f64::INFINITY, true, false);
+        first.is_some_and(|(triangle, t)| {
+            let probability = self.openings.probability(origin, triangle);
+            self.share(triangle, direction, t, probability) <= BY_CHANCE
+        })
+    }
+
+    /// Cosine at the opening over pi, distance squared and density: by how much a direction is likelier by chance (by the
+    /// cosine at the surface) than by aim; not positive from behind.
+    fn share(&self, triangle: usize, towards: DVec3, distance: f64, probability: f64) -> f64 {
+        let [a, b, c] = self.openings.triangles[triangle];
+        // Twice the area times the normal.
+        let normal = (b - a).cross(c - a);
+        normal.dot(towards) / (2.0 * PI * distance * distance * probability)
     }
 
     /// Whether a ray from a shading point passes an opening outwards before distance `reach` (m; what lies within the tolerance
     /// of `reach` does not count). Infinite: anywhere on its way.
     pub fn leaves_before(&self, origin: Vec3, direction: Vec3, reach: f32) -> bool {
         let reach = f64::from(reach) - self.tolerance;
-        self.openings.passed(origin.as_dvec3(), direction.as_dvec3(), reach, false)
+        self.openings.passed(origin.as_dvec3(), direction.as_dvec3(), reach, false, true).is_some()
     }
 
     /// What a ray that leaves the scene sees, the sun's disc included, W/m2/sr.
@@ -544,13 +734,9 @@ impl Daylight {
         self.sky.sun_irradiance().as_vec3()
     }
 
-    /// A guess of the irradiance (scalar, W/m2) that a light without an opening gives a surface with this normal, were
-    /// nothing in the way.
-    pub fn guess(&self, light: &LightRecord, normal: Vec3) -> f32 {
-        if light.kind == LIGHT_SUN {
-            let cos = normal.dot(self.sky.sun().as_vec3()).max(0.0);
-            return vector::luminance(self.sun_irradiance()) * cos;
-        }
+    /// A guess of the irradiance (scalar, W/m2) that sky and ground give a surface with this normal, were nothing in the
+    /// way.
+    pub fn guess(&self, normal: Vec3) -> f32 {
         let up = 0.5 + 0.5 * normal.z;
         self.level[0] * up + self.level[1] * (1.0 - up)
     }
