@@ -29,6 +29,7 @@ pub mod rgbe;
 pub mod room;
 pub mod sections;
 pub mod segment;
+pub mod sky;
 pub mod transit;
 
 /// Marks "no index" wherever an index is a `u32`.

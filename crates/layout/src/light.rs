@@ -20,6 +20,12 @@ pub fn cone_steradians(cone: [f32; 2]) -> f64 {
     core::f64::consts::TAU * ((1.0 - inner) + (inner - outer) / 3.0)
 }
 
+/// Light of the sky. With emitters: what arrives through one opening to the outside, whose triangles face the room
+/// that it enters. Without: all that arrives through none.
+pub const LIGHT_SKY: u32 = 5;
+/// Light of the sun's disc; emitters as for [`LIGHT_SKY`].
+pub const LIGHT_SUN: u32 = 6;
+
 /// One light; photons are counted per light.
 #[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]
 #[repr(C)]
@@ -28,7 +34,7 @@ pub struct LightRecord {
     pub kind: u32,
     /// Material of an area light, else [`crate::NONE`].
     pub material: u32,
-    /// First of its [`EmitterRecord`]s (area lights).
+    /// First of its [`EmitterRecord`]s (area lights, openings).
     pub first_emitter: u32,
     /// Number of them.
     pub emitter_count: u32,
@@ -78,7 +84,7 @@ impl LightRecord {
 pub struct EmitterRecord {
     /// Corners, m, counter-clockwise from the emitting side.
     pub corners: [[f32; 3]; 3],
-    /// The triangle's global index.
+    /// The triangle's global index; [`crate::NONE`] in an opening.
     pub triangle: u32,
     /// Sum of the areas of this light's emitters up to and including this one, divided by the total:
     /// the last one's is 1.

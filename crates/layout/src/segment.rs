@@ -114,6 +114,8 @@ pub enum ExtentKind {
     Profiles = 28,
     /// `f32` values of the profiles, one after the other.
     ProfileValues = 29,
+    /// One [`crate::sky::SkyRecord`], if the scene has a sky.
+    Sky = 32,
 }
 
 impl ExtentKind {
@@ -150,6 +152,7 @@ impl ExtentKind {
             Bvh,
             Profiles,
             ProfileValues,
+            Sky,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

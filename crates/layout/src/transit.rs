@@ -14,6 +14,9 @@ pub const TRANSIT_CAMERA: u16 = 8;
 /// `impacts` the global index of the light's triangle ([`crate::NONE`] for a point); flux is the radiance
 /// that arrives if nothing is in the way.
 pub const TRANSIT_SHADOW: u16 = 16;
+/// A photon that was aimed at an opening when another one was reflected outside: it takes flux from that one, and is not
+/// counted.
+pub const TRANSIT_AIMED: u16 = 32;
 
 /// One ray that waits at the tile of its `leaf`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]

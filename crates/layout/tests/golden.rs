@@ -21,8 +21,8 @@ use enf_layout::journal::{
     JournalKind, JournalRecord, LedgerRecord, LightPairRecord, PassageRecord,
 };
 use enf_layout::light::{
-    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT,
-    LightRecord,
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY,
+    LIGHT_SPOT, LIGHT_SUN, LightRecord,
 };
 use enf_layout::map::MapHeader;
 use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};
@@ -33,6 +33,7 @@ use enf_layout::room::{
 };
 use enf_layout::sections::{SECTIONS_MAGIC, SectionRecord, SectionsHeader, Transform, build};
 use enf_layout::segment::*;
+use enf_layout::sky::SkyRecord;
 use enf_layout::transit::*;
 use enf_layout::{FORMAT_VERSION, NONE, codec, octahedral, rgbe};
 use zerocopy::IntoBytes;
@@ -235,6 +236,16 @@ fn records() -> Vec<Golden> {
             lumens: 9561.0,
             reserved: 0,
         }
+        SkyRecord {
+            scale: 12.5,
+            gradation: [-1.0, -0.32, 0.5],
+            indicatrix: [0.75, 10.0, -3.0, 0.45],
+            sun: [0.0, 0.6, 0.8],
+            sun_radius: 0.0046513,
+            sun_irradiance: [400.0, 500.0, 600.0],
+            color: [0.25, 1.0, 4.0],
+            ground: [7.0, 8.0, 9.0],
+        }
         GridHeader {
             min: [-1.0, -2.0, -3.0],
             max: [1.0, 2.0, 3.0],
@@ -368,6 +379,8 @@ fn numbers() -> String {
         ("LIGHT_POINT_LAMBERT", LIGHT_POINT_LAMBERT),
         ("LIGHT_SPOT", LIGHT_SPOT),
         ("LIGHT_PROFILE", LIGHT_PROFILE),
+        ("LIGHT_SKY", LIGHT_SKY),
+        ("LIGHT_SUN", LIGHT_SUN),
         ("MATERIAL_ONE_SIDED_EMITTER", MATERIAL_ONE_SIDED_EMITTER),
         ("MATERIAL_SEE_THROUGH", MATERIAL_SEE_THROUGH),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),
@@ -381,6 +394,7 @@ fn numbers() -> String {
         ("TRANSIT_PROBE", TRANSIT_PROBE.into()),
         ("TRANSIT_CAMERA", TRANSIT_CAMERA.into()),
         ("TRANSIT_SHADOW", TRANSIT_SHADOW.into()),
+        ("TRANSIT_AIMED", TRANSIT_AIMED.into()),
     ] {
         line(name, value.into());
     }

@@ -1,5 +1,6 @@
 //! The stage itself: survey, rooms, luminaires, bins, tiles, tables.
 
+use enf_daylight::Grid;
 use enf_geometry::structure_bytes_estimate;
 use enf_layout::NONE;
 use enf_layout::light::{EmitterRecord, LIGHT_AREA, LightRecord};
@@ -12,6 +13,7 @@ use enf_stage::session::Session;
 use enf_stage::tables::Names;
 use enf_stage::{ExitStatus, Failure, Result, interrupt, say, warn};
 use enf_store::{MemoryBudget, StageWriter, StoreDir};
+use enf_transport::sky::{Daylight, Shell};
 use glam::{DVec3, Vec3};
 use xxhash_rust::xxh3::xxh3_64;
 use zerocopy::IntoBytes;
@@ -20,7 +22,7 @@ use crate::args::{Cli, HintsArg};
 use crate::bins::{Filling, Record};
 use crate::survey::{self, Survey};
 use crate::tiles::Sorted;
-use crate::{luminaires, route};
+use crate::{luminaires, openings, route};
 
 /// Resident bytes of a triangle in a mesh and its grid, for planning tiles.
 const MESH_BYTES_PER_TRIANGLE: u64 = 27;
@@ -78,9 +80,10 @@ pub(crate) fn build(
         profiles: lights.profiles,
         added: Vec::new(),
     };
-    if world.lights.is_empty() && args.ceiling_lights.is_none() {
+    if world.lights.is_empty() && args.ceiling_lights.is_none() && scene.sky.is_none() {
         return Err(Failure::input(format!("{} has no light", cli.scene.display())).with_hint(
-            "--ceiling-lights 500lx hangs one in every room; or give a material Ke, or a scene file a [[light]]",
+            "--ceiling-lights 500lx hangs one in every room; or give a material Ke, or a scene file a [[light]] or a \
+             [sky]",
         ));
     }
 
@@ -117,7 +120,7 @@ pub(crate) fn build(
         let hung = luminaires::hang(&mut world, &rooms, &survey.corners, count as u32, lux);
         say(common, format!("hung {hung} ceiling lights for {lux} lx"));
     }
-    if world.lights.is_empty() {
+    if world.lights.is_empty() && scene.sky.is_none() {
         return Err(Failure::input("no room has a ceiling to hang a light from")
             .with_hint("give a material Ke, or a scene file a [[light]]"));
     }
@@ -163,7 +166,30 @@ pub(crate) fn build(
         room.triangles = *triangles;
     }
 
-    let starts = Starts::new(&world, &tables, scene.delta)?;
+    if let Some(sky) = &scene.sky {
+        let _sky = budget.reserve(Grid::BYTES, "the sky")?;
+        let shell = Shell::new(scene.bounds.0.map(f64::from), scene.bounds.1.map(f64::from));
+        let found = openings::let_in(&mut world, &tables, sky, &shell);
+        if found.openings == 0 {
+            let why = match tables.outside {
+                Some(_) => "no room has an opening to the outside",
+                None => "everything is one room",
+            };
+            warn(
+                common,
+                format!("{why}: the [sky] is not aimed at windows, and its light will be coarse"),
+            );
+        } else {
+            say(
+                common,
+                format!(
+                    "daylight comes in through {} openings, {:.1} m2",
+                    found.openings, found.area
+                ),
+            );
+        }
+    }
+    let starts = Starts::new(&world, &tables, scene)?;
     let mut tile_lights: Vec<u32> = Vec::new();
     let mut written: Vec<(u64, u64, u32)> = Vec::with_capacity(tables.tiles.len());
     {
@@ -256,6 +282,9 @@ fn write_tables(
     put(ExtentKind::Scene, 1, record.as_bytes())?;
     put(ExtentKind::Names, 1, &names)?;
     put(ExtentKind::Views, views.len(), views.as_bytes())?;
+    if let Some(sky) = &scene.sky {
+        put(ExtentKind::Sky, 1, sky.as_bytes())?;
+    }
     put(ExtentKind::Materials, world.materials.len(), world.materials.as_bytes())?;
     put(ExtentKind::Lights, world.lights.len(), world.lights.as_bytes())?;
     put(ExtentKind::Emitters, world.emitters.len(), world.emitters.as_bytes())?;
@@ -283,9 +312,9 @@ struct Starts {
 }
 
 impl Starts {
-    fn new(world: &World, tables: &Tables, delta: f32) -> Result<Self> {
+    fn new(world: &World, tables: &Tables, scene: &Scene) -> Result<Self> {
         let mut triangles: Vec<(u32, u32)> = Vec::with_capacity(world.emitters.len());
-        for (id, light) in world.lights.iter().enumerate() {
+        for (id, light) in world.lights.iter().enumerate().filter(|(_, l)| l.kind == LIGHT_AREA) {
             let first = light.first_emitter as usize;
             for emitter in &world.emitters[first..first + light.emitter_count as usize] {
                 triangles.push((emitter.triangle, id as u32));
@@ -297,11 +326,16 @@ impl Starts {
             &tables.nodes,
             &tables.leaves,
             &tables.faces,
-            f64::from(delta),
+            f64::from(scene.delta),
         )
         .map_err(|e| Failure::internal(format!("partition: {e}")))?;
         let mut points: Vec<(u32, u32)> = Vec::new();
         for (id, light) in world.lights.iter().enumerate().filter(|(_, l)| l.kind != LIGHT_AREA) {
+            if Daylight::is_daylight(light) {
+                let id = id as u32;
+                openings::tiles(light, &tables.tiles, scene.bounds, |tile| points.push((tile, id)));
+                continue;
+            }
             let at = Vec3::from(light.position).as_dvec3();
             // A point in a plane may start photons on either side of it.
             for direction in corners_of_a_cube() {

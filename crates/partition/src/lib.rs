@@ -9,12 +9,14 @@ mod args;
 mod bins;
 mod build;
 mod luminaires;
+mod openings;
 mod route;
 mod survey;
 mod tiles;
 
 use std::path::{Path, PathBuf};
 
+use enf_layout::light::LIGHT_SKY;
 use enf_layout::segment::StageKind;
 use enf_rooms::RoomCount;
 use enf_scene::{Doors, LoadOptions, Scene, Spool, Up};
@@ -151,6 +153,8 @@ fn report(cli: &Cli, session: &mut Session, tables: &enf_stage::tables::Tables) 
     stats.set("tiles", tables.tiles().len());
     stats.set("leaves", tables.leaves().len());
     stats.set("lights", tables.lights().len());
+    let sky = tables.lights().iter().filter(|l| l.kind == LIGHT_SKY && l.emitter_count > 0);
+    stats.set("sky_openings", sky.count());
     say(
         &cli.common,
         format!(

@@ -5,6 +5,7 @@
 #![forbid(unsafe_code)]
 
 mod camera;
+mod daylight;
 mod film;
 mod shade;
 
@@ -355,21 +356,8 @@ fn render(
     for view in views {
         first_pixels.push(first_pixels[first_pixels.len() - 1] + view.camera.pixels());
     }
-    let power = {
-        let weight = |l: &enf_layout::light::LightRecord| {
-            l.flux_w.iter().map(|&c| f64::from(c)).sum::<f64>()
-        };
-        let total: f64 = tables.lights().iter().map(weight).sum();
-        let mut sum = 0.0;
-        tables
-            .lights()
-            .iter()
-            .map(|l| {
-                sum += weight(l) / total.max(f64::MIN_POSITIVE);
-                sum
-            })
-            .collect::<Vec<f64>>()
-    };
+    let (daylight, _daylight) = enf_trace::daylight(tables, &budget)?;
+    let power = daylight::power(tables.lights());
     let context = Context {
         tables,
         bsp: tables.bsp()?,
@@ -385,6 +373,7 @@ fn render(
         },
         indirect: args.indirect != Indirect::None,
         power: &power,
+        daylight: daylight.as_ref(),
     };
     let reader = TileReader {
         partition: &tables.partition,
@@ -612,6 +601,7 @@ impl Driver<'_> {
         if lights.iter().any(|l| l.0 as usize >= self.context.tables.lights().len()) {
             return Err(Failure::input(format!("the light set of room {room} is damaged")));
         }
+        let sun = daylight::adapt(&mut lights, self.context.tables, room);
         let map = if self.context.indirect {
             let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
             let photons = extent.count as usize;
@@ -632,7 +622,7 @@ impl Driver<'_> {
         } else {
             None
         };
-        let light = Arc::new(RoomLight { map, lights });
+        let light = Arc::new(RoomLight { map, lights, sun });
         self.lights.insert(room, (self.clock, Arc::clone(&light)));
         Ok(light)
     }

@@ -23,10 +23,12 @@ use enf_transport::flight::{self, Flight, Resident, Surface};
 use enf_transport::lamp;
 use enf_transport::rng::{self, Purpose};
 use enf_transport::scatter::{self, Lobes};
+use enf_transport::sky::Daylight;
 use enf_transport::vector;
 use glam::Vec3;
 
 use crate::camera::{self, View};
+use crate::daylight;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
@@ -39,6 +41,8 @@ pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
     /// Ascending light ids, and how much of the room each lights: a factor of its importance.
     pub(crate) lights: Vec<(u32, f32)>,
+    /// Whether the sun shines in: then each point asks for it, beside those.
+    pub(crate) sun: bool,
 }
 
 /// A photon map in memory, and the irradiance that was gathered from it so far.
@@ -113,6 +117,8 @@ pub(crate) struct Context<'a> {
     pub(crate) indirect: bool,
     /// Sums of the lights' powers, normalised to 1.
     pub(crate) power: &'a [f64],
+    /// The sky, if there is one.
+    pub(crate) daylight: Option<&'a Daylight>,
 }
 
 /// One thread's working memory.
@@ -151,6 +157,19 @@ impl Scratch {
     }
 }
 
+/// Light that may arrive at a surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sample {
+    /// Unit vector to where it comes from.
+    pub(crate) direction: Vec3,
+    /// How far that is, m; infinite for the sky.
+    pub(crate) distance: f32,
+    /// Irradiance over its density if nothing is in the way, W/m2.
+    pub(crate) irradiance: Vec3,
+    /// Global index of the triangle that it comes from, or [`NONE`].
+    pub(crate) triangle: u32,
+}
+
 /// A job at work.
 struct Shader<'a> {
     context: &'a Context<'a>,
@@ -159,6 +178,7 @@ struct Shader<'a> {
     map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     portals: PortalSet<'a>,
     lights: &'a [(u32, f32)],
+    sun: bool,
     film: &'a Film,
     first_pixel: u32,
 }
@@ -213,6 +233,7 @@ impl Context<'_> {
             },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
+            sun: job.light.sun,
             film: &job.film,
             first_pixel: job.first_pixel,
         };
@@ -314,7 +335,15 @@ impl Shader<'_> {
                 products.park(self.tile_of(leaf), *record);
                 return false;
             }
-            Flight::Escapes { .. } | Flight::Reached => return false,
+            Flight::Escapes { .. } => {
+                if let Some(daylight) = self.context.daylight {
+                    let seen = daylight.seen(Vec3::from(record.direction));
+                    let seen = Vec3::from(record.flux) * seen;
+                    self.film.add_direct(self.film_pixel(record), seen.to_array());
+                }
+                return false;
+            }
+            Flight::Reached => return false,
             Flight::Hit { hit, leaf } => {
                 record.leaf = leaf;
                 hit
@@ -449,6 +478,12 @@ impl Shader<'_> {
     /// An upper guess of a light's irradiance at a surface, up to a common factor: flux over distance squared,
     /// with the cosines at its nearest and best.
     fn importance(&self, light: &LightRecord, surface: &Surface) -> f32 {
+        if let Some(daylight) = self.context.daylight
+            && let Some(known) =
+                daylight::importance(daylight, light, surface.normal, self.outdoors())
+        {
+            return known;
+        }
         let to = Vec3::from(light.position) - surface.position;
         let reach = light.radius + 0.05;
         let square = to.length_squared() + reach * reach;
@@ -525,54 +560,106 @@ impl Shader<'_> {
             if probability <= 0.0 {
                 continue;
             }
-            let emitters = context.tables.emitters_of(light);
-            let point = emission::point_on(light, emitters, [v[0], v[1], v[2]]);
-            let to = point.position - surface.origin;
-            let square = to.length_squared();
-            let distance = square.sqrt();
-            let direction = to / distance;
-            let cos = direction.dot(surface.normal);
-            if cos <= 0.0 || !distance.is_finite() || distance <= 0.0 {
-                continue;
-            }
-            let flux = Vec3::from(light.flux_w);
-            // Irradiance of this sample if nothing is in the way.
-            let irradiance = if light.kind == LIGHT_AREA {
-                let cos_light = -direction.dot(point.normal);
-                if cos_light <= 0.0 {
-                    continue;
+            let sample = match context.daylight {
+                Some(daylight) if Daylight::is_daylight(light) => {
+                    let emitters = context.tables.emitters_of(light);
+                    let asked = daylight::Asked { outdoors: self.outdoors(), sun: self.sun };
+                    daylight::sample(daylight, light, emitters, surface, v, asked)
                 }
-                // Le = flux / (pi A); density of the point is 1/A.
-                flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
-            } else {
-                let profile = context.tables.profile_of(light);
-                flux * (emission::point_intensity(light, profile, -direction) * cos / square)
+                _ => self.sample(light, surface, v),
             };
-            let radiance = reflected * irradiance / (probability * count as f32);
-            if radiance == Vec3::ZERO {
+            let Some(Sample { direction, distance, irradiance, triangle }) = sample else {
                 continue;
-            }
-            let shadow = TransitRecord {
-                origin: surface.origin.to_array(),
-                direction: direction.to_array(),
-                flux: radiance.to_array(),
-                t: 0.0,
-                leaf: self.tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3()),
-                light: record.light,
-                photon: distance.to_bits(),
-                bounce: 0,
-                flags: TRANSIT_SHADOW,
-                last_triangle: surface.triangle,
-                impacts: point.triangle,
             };
-            products.shadow += 1;
-            let next = self.tile_of(shadow.leaf);
-            if next == self.tile.tile {
-                scratch.shadows.push(shadow);
-            } else {
-                products.park(next, shadow);
+            let irradiance = irradiance / (probability * count as f32);
+            let sample = Sample { direction, distance, irradiance, triangle };
+            self.ask(record, surface, reflected, &sample, scratch, products);
+        }
+        if let (Some(daylight), true) = (context.daylight, self.sun) {
+            // The sun is in one place: it is asked for on its own, for little else is seen beside it otherwise.
+            let index = record.photon;
+            let place = |dimension: usize, shift: u32| {
+                rng::unit(index.wrapping_mul(KRONECKER[dimension]).wrapping_add(shift))
+            };
+            let at = [place(0, s[2]), place(1, s[3])];
+            if let Some(sample) = daylight::sun(daylight, surface, at) {
+                self.ask(record, surface, reflected, &sample, scratch, products);
             }
         }
+    }
+
+    /// Sends a shadow ray after a sample.
+    fn ask(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        reflected: Vec3,
+        sample: &Sample,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let radiance = reflected * sample.irradiance;
+        if radiance == Vec3::ZERO {
+            return;
+        }
+        let (origin, direction) = (surface.origin, sample.direction);
+        let shadow = TransitRecord {
+            origin: origin.to_array(),
+            direction: direction.to_array(),
+            flux: radiance.to_array(),
+            t: 0.0,
+            leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
+            light: record.light,
+            photon: sample.distance.to_bits(),
+            bounce: 0,
+            flags: TRANSIT_SHADOW,
+            last_triangle: surface.triangle,
+            impacts: sample.triangle,
+        };
+        products.shadow += 1;
+        let next = self.tile_of(shadow.leaf);
+        if next == self.tile.tile {
+            scratch.shadows.push(shadow);
+        } else {
+            products.park(next, shadow);
+        }
+    }
+
+    /// A point on a light, seen from a surface, from three uniform numbers; `None` where nothing can arrive from it.
+    fn sample(&self, light: &LightRecord, surface: &Surface, v: [f32; 3]) -> Option<Sample> {
+        let emitters = self.context.tables.emitters_of(light);
+        let point = emission::point_on(light, emitters, v);
+        let to = point.position - surface.origin;
+        let square = to.length_squared();
+        let distance = square.sqrt();
+        let direction = to / distance;
+        let cos = direction.dot(surface.normal);
+        if cos <= 0.0 || !distance.is_finite() || distance <= 0.0 {
+            return None;
+        }
+        let flux = Vec3::from(light.flux_w);
+        // Irradiance of this sample if nothing is in the way.
+        let irradiance = if light.kind == LIGHT_AREA {
+            let cos_light = -direction.dot(point.normal);
+            if cos_light <= 0.0 {
+                return None;
+            }
+            // Le = flux / (pi A); density of the point is 1/A.
+            flux * (core::f32::consts::FRAC_1_PI * cos * cos_light / square)
+        } else {
+            flux * (emission::point_intensity(
+                light,
+                self.context.tables.profile_of(light),
+                -direction,
+            ) * cos
+                / square)
+        };
+        Some(Sample { direction, distance, irradiance, triangle: point.triangle })
+    }
+
+    /// Whether the room is the outside, where daylight comes from everywhere.
+    fn outdoors(&self) -> bool {
+        daylight::outdoors(self.context.tables, self.room)
     }
 
     /// What becomes of a shadow ray that meets `hit` next: what it carries reaches the film unless something opaque is in

@@ -36,6 +36,7 @@ pub(crate) struct SceneFile {
     pub(crate) material: Vec<Spanned<MaterialTable>>,
     #[serde(default)]
     pub(crate) light: Vec<Spanned<LightTable>>,
+    pub(crate) sky: Option<Spanned<crate::sky::SkyTable>>,
     #[serde(default)]
     pub(crate) room: Vec<Spanned<RoomTable>>,
     #[serde(default)]
@@ -197,6 +198,13 @@ pub(crate) struct Rgb {
     values: [f64; 3],
     /// It was one number.
     single: bool,
+}
+
+impl Rgb {
+    /// Its three channels.
+    pub(crate) fn values(self) -> [f64; 3] {
+        self.values
+    }
 }
 
 impl<'de> Deserialize<'de> for Rgb {

@@ -43,6 +43,7 @@ mod obj;
 pub mod photometry;
 mod polygon;
 mod shape;
+mod sky;
 mod stream;
 mod views;
 
@@ -57,6 +58,7 @@ use enf_layout::{
     light::{EmitterRecord, LightRecord},
     material::MaterialRecord,
     room::ViewRecord,
+    sky::SkyRecord,
 };
 use std::{collections::BTreeMap, ops::Range, path::PathBuf};
 
@@ -112,6 +114,8 @@ pub struct Scene {
     pub views: Vec<View>,
     /// What the scene file calls rooms, in store coordinates.
     pub hints: Vec<RoomHint>,
+    /// The sky over the scene, if its file has a `[sky]`.
+    pub sky: Option<SkyRecord>,
     /// What was subtracted from the coordinates before they were rounded to `f32`, m: 0, or, when some
     /// coordinate is beyond 4096 m, the bounds' centre in whole metres.
     pub origin: [f64; 3],

@@ -11,6 +11,7 @@ use crate::{
     mtl::{self, Spec},
     obj::{self, Mesh},
     shape::{Lookup, Part, Position},
+    sky,
     stream::{Geometry, Glowing, MARK_EVERY, Scratch, Skipped, Use},
     views,
 };
@@ -656,6 +657,7 @@ impl Loader {
             ));
         }
         let measured = measure(&mut geometry, path, |material| table.emits(material))?;
+        let sky = parsed.map_or(Ok(None), sky::build)?;
         let mut luminaires = Luminaires::default();
         let folder = path.parent().unwrap_or(Path::new(""));
         let mut points =
@@ -756,6 +758,7 @@ impl Loader {
             materials: table.materials,
             views,
             hints,
+            sky,
             origin: frame.origin,
             bounds: (lo, hi),
             delta: tolerance(lo, hi),

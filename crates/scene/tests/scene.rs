@@ -674,3 +674,66 @@ fn a_scene_in_the_wrong_units_is_refused_with_the_remedy() {
     let options = LoadOptions { units: Some(f64::NAN), ..LoadOptions::default() };
     assert!(load(&f.path("b.obj"), &options).is_err());
 }
+
+/// `[sky]`: what is said is what arrives, and what is wrong is said with its line.
+#[test]
+fn skies() {
+    let obj = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n";
+    let with = |sky: &str| {
+        Folder::new(&[
+            ("a.obj", obj),
+            ("s.toml", &format!("[[mesh]]\nfile = \"a.obj\"\n\n[sky]\n{sky}\n")),
+        ])
+    };
+    let sky = |text: &str| with(text).load("s.toml").sky.unwrap();
+    let overcast = sky("model = \"cie-16\"\ndiffuse_horizontal_lux = 17900\nground = 0.3");
+    // 100 W/m2: zenith 9 E / (7 pi), horizon a third of it; the ground reflects 0.3 of it.
+    let zenith = overcast.scale * 3.0;
+    assert!((zenith - 900.0 / (7.0 * PI)).abs() < 0.01, "{zenith}");
+    assert!((overcast.ground[1] - 30.0 / PI).abs() < 1e-9);
+    assert_eq!((overcast.sun, overcast.sun_irradiance), ([0.0; 3], [0.0; 3]));
+
+    let clear =
+        sky("model = \"cie-12\"\ndiffuse_horizontal = 80\ndirect_normal = 400\nefficacy = 89.5\n\
+         sun = [180, 30]\nnorth = 90\nsun_color = [1, 0.9, 0.7]");
+    // True north is +x, so the south is -x.
+    let level = 30f64.to_radians().cos();
+    assert!((clear.sun[0] + level).abs() < 1e-12 && (clear.sun[2] - 0.5).abs() < 1e-12);
+    let luminance = enf_scene::luminance(clear.sun_irradiance);
+    assert!((luminance - 200.0).abs() < 1e-9, "half of the watts are seen");
+    assert!(clear.sun_irradiance[0] > clear.sun_irradiance[2]);
+
+    // The same moment as TOML's own date and time, and as text (NREL/TP-560-34302: 50.11 degrees from the zenith).
+    let place = "latitude = 39.742476\nlongitude = -105.1786\ntimezone = -7\n";
+    let perez = "model = \"perez\"\ndiffuse_horizontal = 100\ndirect_normal = 700\n";
+    let a = sky(&format!("{perez}date = 2003-10-17\ntime = 12:30:30\n{place}"));
+    let b = sky(&format!("{perez}date = \"2003-10-17\"\ntime = \"12:30:30\"\n{place}"));
+    assert_eq!(a, b);
+    assert!((a.sun[2].acos().to_degrees() - 50.11).abs() < 0.05);
+
+    let error = |text: &str, says: &str| {
+        let message = with(text).error("s.toml");
+        assert!(message.contains(says) && message.contains("s.toml:4"), "{message}");
+    };
+    let lux = "diffuse_horizontal_lux = 10000\n";
+    error(&format!("model = \"cie-17\"\n{lux}"), "no model \"cie-17\"");
+    error("model = \"cie-1\"", "diffuse_horizontal");
+    error(&format!("model = \"cie-1\"\ndiffuse_horizontal = 3\n{lux}"), "both");
+    error(&format!("model = \"cie-12\"\n{lux}"), "where the sun stands");
+    error(&format!("model = \"cie-1\"\n{lux}direct_normal = 3"), "where the sun stands");
+    error(&format!("model = \"perez\"\n{lux}sun = [0, -3.5]"), "3.5 degrees below");
+    error(&format!("model = \"cie-12\"\n{lux}sun = [0, 95]"), "out of range");
+    error(
+        &format!("model = \"cie-12\"\n{lux}sun = [0, 5]\ntime = 10:00:00"),
+        "both \"sun\" and \"time\"",
+    );
+    error(&format!("model = \"cie-12\"\n{lux}date = 2026-06-21\ntime = 10:00:00\n"), "latitude");
+    error(
+        &format!("model = \"cie-12\"\n{lux}date = \"2026-02-30\"\ntime = 10:00:00\n{place}"),
+        "is no date",
+    );
+    error("model = \"cie-1\"\ndiffuse_horizontal = 0", "dark");
+    error(&format!("model = \"cie-1\"\n{lux}ground = 1.5"), "ground");
+    let unknown = with("model = \"cie-1\"\nturbidity = 2").error("s.toml");
+    assert!(unknown.contains("turbidity"), "{unknown}");
+}

@@ -9,6 +9,7 @@ use enf_layout::room::{
     PortalPieceRecord, PortalRecord, RoomRecord, SceneRecord, TileRecord, ViewRecord,
 };
 use enf_layout::segment::{ExtentKind, StageKind};
+use enf_layout::sky::SkyRecord;
 use enf_rooms::Bsp;
 use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
 use zerocopy::{FromBytes, Immutable, KnownLayout};
@@ -21,6 +22,8 @@ pub struct Tables {
     pub partition: StageReader,
     /// Facts about the scene.
     pub scene: SceneRecord,
+    /// The sky over it, if there is one.
+    pub sky: Option<SkyRecord>,
     /// Names of things, and the input's frame.
     pub names: Names,
     materials: Buffer,
@@ -85,6 +88,14 @@ impl Tables {
         let scene_bytes = read(ExtentKind::Scene)?;
         let scene = SceneRecord::read_from_bytes(&scene_bytes[..])
             .map_err(|_| Failure::input("the store's scene record has a wrong size"))?;
+        let sky = match partition.find(ExtentKind::Sky, 0).first() {
+            None => None,
+            Some(_) => {
+                let bytes = read(ExtentKind::Sky)?;
+                let sky = SkyRecord::read_from_bytes(&bytes[..]);
+                Some(sky.map_err(|_| Failure::input("the store's sky record has a wrong size"))?)
+            }
+        };
         let names_bytes = read(ExtentKind::Names)?;
         let names = std::str::from_utf8(&names_bytes)
             .ok()
@@ -92,6 +103,7 @@ impl Tables {
             .ok_or_else(|| Failure::input("the store's table of names is not readable"))?;
         let tables = Self {
             scene,
+            sky,
             names,
             materials: checked::<MaterialRecord>(read(ExtentKind::Materials)?)?,
             lights: checked::<LightRecord>(read(ExtentKind::Lights)?)?,

@@ -32,6 +32,7 @@ use enf_store::{
     StoreError,
 };
 use enf_transport::photon::Group;
+use enf_transport::sky::{Daylight, Shell};
 
 pub use counts::{Counts, PhotonCount};
 pub use recorder::Totals;
@@ -288,6 +289,7 @@ fn trace(
     let budget = session.budget.clone();
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
+    let (daylight, _daylight) = daylight(tables, &budget)?;
     let resumed = writer.resumed();
     let recorder = Recorder::new(
         writer,
@@ -302,8 +304,13 @@ fn trace(
         say(common, "going on where the last run stopped");
     }
 
-    let context =
-        Context { tables, bsp: tables.bsp()?, seed: common.seed, counts: Arc::clone(counts) };
+    let context = Context {
+        tables,
+        bsp: tables.bsp()?,
+        seed: common.seed,
+        counts: Arc::clone(counts),
+        daylight,
+    };
     let reader = TileReader {
         partition: &tables.partition,
         grid,
@@ -635,6 +642,25 @@ impl Driver<'_> {
         *flying += 1;
         Ok(())
     }
+}
+
+/// The daylight of a scene that has a sky, and the memory that it takes.
+///
+/// # Errors
+/// Exit 3 when it does not fit.
+pub fn daylight(
+    tables: &Tables,
+    budget: &MemoryBudget,
+) -> Result<(Option<Daylight>, Option<Reservation>)> {
+    let Some(sky) = &tables.sky else { return Ok((None, None)) };
+    let (lights, emitters) = (tables.lights(), tables.emitters());
+    let openings = lights.iter().filter(|l| Daylight::is_daylight(l)).count();
+    let bytes = Daylight::bytes(lights.len(), emitters.len(), openings);
+    let reservation = budget.reserve(bytes, "the sky and its openings")?;
+    let scene = &tables.scene;
+    let shell = Shell::new(scene.bounds_min, scene.bounds_max);
+    let daylight = Daylight::new(sky, shell, scene.delta, lights, emitters);
+    Ok((Some(daylight), Some(reservation)))
 }
 
 /// Puts the loads per tile into a report.

@@ -6,18 +6,22 @@ use std::sync::Arc;
 
 use enf_layout::bsp::LeafRecord;
 use enf_layout::journal::LedgerRecord;
-use enf_layout::light::{LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT};
+use enf_layout::light::{
+    LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY, LIGHT_SPOT, LIGHT_SUN,
+};
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
 use enf_layout::sections::Malformed;
-use enf_layout::transit::{TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
+use enf_layout::transit::{TRANSIT_AIMED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
 use enf_rooms::Bsp;
 use enf_stage::resident::TileData;
 use enf_stage::tables::Tables;
 use enf_store::Buffer;
-use enf_transport::emission;
-use enf_transport::flight::Resident;
-use enf_transport::photon::{self, Sink};
+use enf_transport::emission::{self, Start};
+use enf_transport::flight::{Resident, Surface};
+use enf_transport::photon::{self, Sink, Taken};
 use enf_transport::rng::{self, Purpose};
+use enf_transport::scatter::Event;
+use enf_transport::sky::Daylight;
 use enf_transport::vector;
 use glam::Vec3;
 
@@ -172,8 +176,103 @@ impl Sink for Products {
         reflections(ledger, impacts);
     }
 
+    fn strayed(&mut self, room: u32, flux: Vec3) {
+        add3(&mut self.tally.room(room).escaped_w, flux);
+    }
+
     fn probed(&mut self, light: u32, room: u32) {
         self.tally.sees.entry((room, light)).or_default();
+    }
+}
+
+/// The products of a job, and photons of the sky that are aimed at windows where they are reflected outside.
+struct Aiming<'a, 'b> {
+    context: &'a Context<'b>,
+    tile: u32,
+    products: Products,
+    /// Photons that were aimed and start in this tile.
+    aimed: Vec<TransitRecord>,
+}
+
+impl Sink for Aiming<'_, '_> {
+    fn impact(&mut self, room: u32, light: u32, photon: PhotonRecord) {
+        self.products.impact(room, light, photon);
+    }
+
+    fn park(&mut self, tile: u32, record: TransitRecord) {
+        self.products.park(tile, record);
+    }
+
+    fn passage(&mut self, from: u32, to: u32, record: &TransitRecord) {
+        self.products.passage(from, to, record);
+    }
+
+    fn absorb(&mut self, room: u32, flux: Vec3) {
+        self.products.absorb(room, flux);
+    }
+
+    fn ended(&mut self, room: u32, impacts: u32) {
+        self.products.ended(room, impacts);
+    }
+
+    fn escaped(&mut self, room: u32, impacts: u32, flux: Vec3) {
+        self.products.escaped(room, impacts, flux);
+    }
+
+    fn strayed(&mut self, room: u32, flux: Vec3) {
+        self.products.strayed(room, flux);
+    }
+
+    fn probed(&mut self, light: u32, room: u32) {
+        self.products.probed(light, room);
+    }
+
+    fn reflected(
+        &mut self,
+        room: u32,
+        record: &TransitRecord,
+        surface: &Surface,
+        reflected: Vec3,
+        event: &Event,
+    ) -> Taken {
+        let (context, mut taken) = (self.context, Taken::default());
+        let Some(daylight) = &context.daylight else { return taken };
+        if room != context.tables.scene.outside
+            || record.flags & TRANSIT_AIMED != 0
+            || reflected == Vec3::ZERO
+            || !Daylight::is_everywhere(&context.tables.lights()[record.light as usize])
+        {
+            return taken;
+        }
+        let key = (record.light, record.photon, record.bounce);
+        let count = context.counts.of(record.light);
+        daylight.aim(context.seed, key, surface, reflected, count, |direction, flux, photon| {
+            taken.flux += flux;
+            let leaf = context.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+            let aimed = TransitRecord {
+                origin: surface.origin.to_array(),
+                direction: direction.to_array(),
+                flux: flux.to_array(),
+                t: 0.0,
+                leaf,
+                light: record.light,
+                photon,
+                bounce: record.bounce.wrapping_add(1),
+                flags: TRANSIT_AIMED,
+                last_triangle: surface.triangle,
+                impacts: 0,
+            };
+            let tile = context.leaf(leaf).tile;
+            if tile == self.tile {
+                self.aimed.push(aimed);
+            } else {
+                self.products.park(tile, aimed);
+            }
+        });
+        if let Event::Diffuse(direction) = event {
+            taken.ends = daylight.is_aimed(surface.origin, *direction);
+        }
+        taken
     }
 }
 
@@ -190,6 +289,7 @@ pub(crate) struct Context<'a> {
     pub(crate) bsp: Bsp<'a>,
     pub(crate) seed: u64,
     pub(crate) counts: Arc<Counts>,
+    pub(crate) daylight: Option<Daylight>,
 }
 
 impl Context<'_> {
@@ -203,27 +303,37 @@ impl Context<'_> {
             materials: self.tables.materials(),
             delta: self.tables.scene.delta,
         };
-        let mut products = Products::default();
+        let mut sink = Aiming {
+            context: self,
+            tile: tile.tile,
+            products: Products::default(),
+            aimed: Vec::new(),
+        };
         match &job.work {
             Work::Waiting { records, range } => {
                 let mut waiting = records.records()[range.clone()].iter();
-                photon::trace_all(&tile, self.seed, group, &mut products, |products| {
-                    let record = waiting.next()?;
-                    products.tally.traced += 1;
-                    Some(*record)
+                photon::trace_all(&tile, self.seed, group, &mut sink, |sink| {
+                    sink.aimed.pop().or_else(|| {
+                        let record = waiting.next()?;
+                        sink.products.tally.traced += 1;
+                        Some(*record)
+                    })
                 });
             }
             Work::Emission { light, indices } => {
                 let mut indices = indices.clone();
-                photon::trace_all(&tile, self.seed, group, &mut products, |products| {
-                    indices.find_map(|index| match index.checked_sub(self.counts.of(*light)) {
-                        None => self.emit(&tile, *light, index as u32, products),
-                        Some(probe) => self.probe(&tile, *light, probe as u32),
+                photon::trace_all(&tile, self.seed, group, &mut sink, |sink| {
+                    let products = &mut sink.products;
+                    sink.aimed.pop().or_else(|| {
+                        indices.find_map(|index| match index.checked_sub(self.counts.of(*light)) {
+                            None => self.emit(&tile, *light, index as u32, products),
+                            Some(probe) => self.probe(&tile, *light, probe as u32),
+                        })
                     })
                 });
             }
         }
-        Ok(products)
+        Ok(sink.products)
     }
 
     fn leaf(&self, leaf: u32) -> &LeafRecord {
@@ -240,19 +350,46 @@ impl Context<'_> {
     ) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
+        if let Some(daylight) = &self.daylight
+            && Daylight::is_daylight(light)
+        {
+            let arrival = daylight.emit(self.seed, id, light, emitters, photon);
+            let flux = arrival.flux / self.counts.of(id) as f32;
+            let owned = || flux != Vec3::ZERO && daylight.owns(&arrival);
+            return self.launch(tile, id, photon, &arrival.start, flux, owned, products);
+        }
         let profile = self.tables.profile_of(light);
         let start = emission::start(self.seed, id, light, emitters, profile, photon, tile.delta);
+        let flux = Vec3::from(light.flux_w) / self.counts.of(id) as f32;
+        self.launch(tile, id, photon, &start, flux, || true, products)
+    }
+
+    /// Enters a photon that starts in the tile into the ledger. One whose light is another photon's (it is not `owned`)
+    /// escapes at once, without flux.
+    #[allow(clippy::too_many_arguments)]
+    fn launch(
+        &self,
+        tile: &Resident<'_>,
+        id: u32,
+        photon: u32,
+        start: &Start,
+        flux: Vec3,
+        owned: impl FnOnce() -> bool,
+        products: &mut Products,
+    ) -> Option<TransitRecord> {
         let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
         let leaf = self.bsp.locate_towards(origin, direction);
         if self.leaf(leaf).tile != tile.tile {
             return None;
         }
-        let flux = Vec3::from(light.flux_w) / self.counts.of(id) as f32;
         let room = self.leaf(self.bsp.locate(origin)).room;
-        let ledger = products.tally.room(room);
-        ledger.emitted += 1;
-        add3(&mut ledger.emitted_w, flux);
+        products.tally.room(room).emitted += 1;
         products.tally.traced += 1;
+        if !owned() {
+            products.escaped(room, 0, Vec3::ZERO);
+            return None;
+        }
+        add3(&mut products.tally.room(room).emitted_w, flux);
         Some(TransitRecord {
             origin: start.origin.to_array(),
             direction: start.direction.to_array(),
@@ -272,11 +409,14 @@ impl Context<'_> {
     fn probe(&self, tile: &Resident<'_>, id: u32, probe: u32) -> Option<TransitRecord> {
         let light = &self.tables.lights()[id as usize];
         let emitters = self.tables.emitters_of(light);
+        if light.kind == LIGHT_SUN || Daylight::is_everywhere(light) {
+            // The sun shines in one direction, and what comes through no opening is nobody's in particular.
+            return None;
+        }
         let u = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 0);
         let v = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 1);
         let point = emission::point_on(light, emitters, [u[0], u[1], u[2]]);
-        let lift =
-            if light.kind == LIGHT_AREA { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
+        let lift = if !emitters.is_empty() { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
         let origin = point.position + point.normal * lift;
         let room = self.leaf(self.bsp.locate(origin.as_dvec3())).room;
         let portals = self.tables.portals_of(room);
@@ -304,7 +444,7 @@ impl Context<'_> {
         let (s, t) = vector::triangle(v[2], v[3]);
         let target = a * (1.0 - s - t) + b * s + c * t;
         let direction = (target - origin).normalize_or_zero();
-        let one_sided = light.kind == LIGHT_AREA || light.kind == LIGHT_POINT_LAMBERT;
+        let one_sided = matches!(light.kind, LIGHT_AREA | LIGHT_POINT_LAMBERT | LIGHT_SKY);
         if direction == Vec3::ZERO || (one_sided && direction.dot(point.normal) <= 0.0) {
             return None;
         }

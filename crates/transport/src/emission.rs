@@ -39,7 +39,7 @@ pub struct LightPoint {
 
 /// A uniform point on a light from three uniform numbers. `emitters` are this light's own.
 pub fn point_on(light: &LightRecord, emitters: &[EmitterRecord], u: [f32; 3]) -> LightPoint {
-    if light.kind != LIGHT_AREA || emitters.is_empty() {
+    if emitters.is_empty() {
         return LightPoint {
             position: Vec3::from(light.position),
             normal: Vec3::from(light.axis),

@@ -11,4 +11,5 @@ pub mod lamp;
 pub mod photon;
 pub mod rng;
 pub mod scatter;
+pub mod sky;
 pub mod vector;

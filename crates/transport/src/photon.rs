@@ -5,10 +5,12 @@ use enf_geometry::{Hit, Query};
 use enf_layout::octahedral;
 use enf_layout::photon::{PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::rgbe;
-use enf_layout::transit::{TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
+use enf_layout::transit::{
+    TRANSIT_AIMED, TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord,
+};
 use glam::Vec3;
 
-use crate::flight::{self, Flight, Resident};
+use crate::flight::{self, Flight, Resident, Surface};
 use crate::rng::{self, Purpose};
 use crate::scatter::{self, Event};
 
@@ -26,8 +28,31 @@ pub trait Sink {
     fn ended(&mut self, room: u32, impacts: u32);
     /// The path left the scene from `room`.
     fn escaped(&mut self, room: u32, impacts: u32, flux: Vec3);
+    /// Flux left the scene from `room` with a photon that is not counted.
+    fn strayed(&mut self, room: u32, flux: Vec3);
     /// A visibility probe of `light` ended on a surface of `room`.
     fn probed(&mut self, light: u32, room: u32);
+    /// A photon was reflected in `room`: `reflected` W diffusely, and goes on as `event` says. The sink may send some of that flux
+    /// on its own way.
+    fn reflected(
+        &mut self,
+        _room: u32,
+        _record: &TransitRecord,
+        _surface: &Surface,
+        _reflected: Vec3,
+        _event: &Event,
+    ) -> Taken {
+        Taken::default()
+    }
+}
+
+/// What a sink did about a reflection.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Taken {
+    /// Flux that it sent on its own way, W.
+    pub flux: Vec3,
+    /// The photon ends here: what it would have carried is among that flux.
+    pub ends: bool,
 }
 
 /// Photons that are traced together, and what is asked of them: room for the caller to keep.
@@ -47,7 +72,8 @@ impl Group {
         as u64;
 }
 
-/// Traces photons and probes until each has ended or left the tile. `next` gives one after the other.
+/// Traces photons and probes until each has ended or left the tile. `next` gives one after the other; it may be asked again
+/// after it had none.
 pub fn trace_all<S: Sink>(
     tile: &Resident<'_>,
     seed: u64,
@@ -57,13 +83,12 @@ pub fn trace_all<S: Sink>(
 ) {
     let Group { records, queries, hits } = group;
     records.clear();
-    let mut more = true;
     loop {
-        while more && records.len() < Group::SIZE {
-            match next(sink) {
-                Some(record) => records.push(record),
-                None => more = false,
-            }
+        // Asked again after the last one: a sink may have made more meanwhile.
+        while records.len() < Group::SIZE
+            && let Some(record) = next(sink)
+        {
+            records.push(record);
         }
         if records.is_empty() {
             return;
@@ -103,8 +128,11 @@ fn step(
             return false;
         }
         Flight::Escapes { leaf } => {
-            if !probe {
-                sink.escaped(room_of(leaf), record.impacts, Vec3::from(record.flux));
+            let flux = Vec3::from(record.flux);
+            if record.flags & TRANSIT_AIMED != 0 {
+                sink.strayed(room_of(leaf), flux);
+            } else if !probe {
+                sink.escaped(room_of(leaf), record.impacts, flux);
             }
             return false;
         }
@@ -141,13 +169,17 @@ fn step(
     let u = rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
     let (event, after) =
         scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
-    sink.absorb(room, flux - after);
+    let taken = sink.reflected(room, record, &surface, flux * lobes.diffuse, &event);
+    let (event, after) = if taken.ends { (Event::Absorbed, Vec3::ZERO) } else { (event, after) };
+    sink.absorb(room, flux - after - taken.flux);
     record.flux = after.to_array();
     record.bounce = record.bounce.wrapping_add(1);
     record.last_triangle = hit.global;
     match event {
         Event::Absorbed => {
-            sink.ended(room, record.impacts);
+            if record.flags & TRANSIT_AIMED == 0 {
+                sink.ended(room, record.impacts);
+            }
             return false;
         }
         Event::Transmitted => {

@@ -19,6 +19,8 @@ pub enum Purpose {
     Shadow = 5,
     /// One interaction of a camera path.
     CameraScatter = 6,
+    /// Photons that are aimed at openings from outside.
+    Aim = 9,
 }
 
 /// Four numbers for (`seed`, `purpose`, `a`, `b`, `bounce`, `block`): for photons `a` is the light and `b`
