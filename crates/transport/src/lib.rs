@@ -7,6 +7,7 @@
 
 pub mod emission;
 pub mod flight;
+pub mod gloss;
 pub mod photon;
 pub mod rng;
 pub mod scatter;
