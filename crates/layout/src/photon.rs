@@ -5,7 +5,7 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// The photon came straight from its light, or through thin panes only.
 pub const PHOTON_DIRECT: u16 = 1 << 2;
-/// The photon came from its light over mirrors or panes only, a mirror among them.
+/// The photon came from its light over mirrors, gloss, panes or solid glass only, and not through panes alone.
 pub const PHOTON_CAUSTIC: u16 = 1 << 3;
 /// The impact was on the clockwise (back) side of its triangle.
 pub const PHOTON_BACK_SIDE: u16 = 1 << 4;
@@ -33,7 +33,8 @@ pub const PHOTON_AXIS_MASK: u16 = 3;
 pub struct PhotonRecord {
     /// World position, m (bits of `f32`, so that records order and compare bytewise).
     pub position_bits: [u32; 3],
-    /// Incoming flux, W: [`crate::rgbe`], rounded stochastically by the photon's own counter.
+    /// Incoming flux, W: [`crate::rgbe`], rounded stochastically by the photon's own counter. Below a gloss, times
+    /// how much of it the gloss lets through, compared with light from all around: the same in even light.
     pub flux: [u8; 4],
     /// Direction of travel ([`crate::octahedral`], 12 + 12 bits), then the geometric normal on the side
     /// that was hit, likewise.

@@ -4,11 +4,12 @@ use zerocopy::{FromBytes, Immutable, IntoBytes, KnownLayout};
 
 /// The ray has met no diffuse surface yet.
 pub const TRANSIT_UNSCATTERED: u16 = 1;
-/// ... and met a mirror.
+/// ... and met a mirror, gloss or solid glass.
 pub const TRANSIT_MIRRORED: u16 = 2;
 /// A visibility probe from a light towards a portal: carries no flux, marks rooms.
 pub const TRANSIT_PROBE: u16 = 4;
-/// A camera ray: `light` is the pixel (counted over all views), `photon` the sample; flux is its throughput.
+/// A camera ray: `light` is the pixel (counted over all views), `photon` the sample; flux is its throughput, `impacts` the
+/// bits of the `f32` density (1/sr) with which a gloss drew its direction, 0 if none did.
 pub const TRANSIT_CAMERA: u16 = 8;
 /// A shadow ray: `light` is the pixel, `photon` the bits of the `f32` distance at which the light sits,
 /// `impacts` the global index of the light's triangle ([`crate::NONE`] for a point); flux is the radiance
@@ -17,6 +18,10 @@ pub const TRANSIT_SHADOW: u16 = 16;
 /// A photon that was aimed at an opening when another one was reflected outside: it takes flux from that one, and is not
 /// counted.
 pub const TRANSIT_AIMED: u16 = 32;
+/// Inside solid glass: the light swings across the plane of incidence (s).
+pub const TRANSIT_ACROSS: u16 = 1 << 14;
+/// Inside solid glass: the light swings along the plane of incidence (p).
+pub const TRANSIT_ALONG: u16 = 1 << 15;
 
 /// One ray that waits at the tile of its `leaf`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, FromBytes, IntoBytes, Immutable, KnownLayout)]

@@ -25,7 +25,10 @@ use enf_layout::light::{
     LIGHT_SPOT, LIGHT_SUN, LightRecord,
 };
 use enf_layout::map::MapHeader;
-use enf_layout::material::{MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MaterialRecord};
+use enf_layout::material::{
+    MATERIAL_GLOSS, MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MATERIAL_SOLID,
+    MaterialRecord,
+};
 use enf_layout::photon::*;
 use enf_layout::profile::ProfileRecord;
 use enf_layout::room::{
@@ -201,9 +204,12 @@ fn records() -> Vec<Golden> {
             specular: [0.1, 0.2, 0.3],
             transmission: [0.4, 0.45, 0.475],
             emission: [10.0, 20.0, 30.0],
+            absorption: [7.0, 8.0, 9.0],
             index: 1.5,
-            flags: MATERIAL_SEE_THROUGH,
-            reserved: [0; 2],
+            roughness: 0.0625,
+            light_area_m2: 0.35,
+            flags: MATERIAL_SEE_THROUGH | MATERIAL_SOLID,
+            texture: 3,
         }
         LightRecord {
             kind: LIGHT_POINT_LAMBERT,
@@ -383,6 +389,8 @@ fn numbers() -> String {
         ("LIGHT_SUN", LIGHT_SUN),
         ("MATERIAL_ONE_SIDED_EMITTER", MATERIAL_ONE_SIDED_EMITTER),
         ("MATERIAL_SEE_THROUGH", MATERIAL_SEE_THROUGH),
+        ("MATERIAL_GLOSS", MATERIAL_GLOSS),
+        ("MATERIAL_SOLID", MATERIAL_SOLID),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),
         ("PHOTON_AXIS_MASK", PHOTON_AXIS_MASK.into()),
         ("PHOTON_DIRECT", PHOTON_DIRECT.into()),
@@ -395,6 +403,8 @@ fn numbers() -> String {
         ("TRANSIT_CAMERA", TRANSIT_CAMERA.into()),
         ("TRANSIT_SHADOW", TRANSIT_SHADOW.into()),
         ("TRANSIT_AIMED", TRANSIT_AIMED.into()),
+        ("TRANSIT_ACROSS", TRANSIT_ACROSS.into()),
+        ("TRANSIT_ALONG", TRANSIT_ALONG.into()),
     ] {
         line(name, value.into());
     }

@@ -43,6 +43,21 @@ pub(crate) struct World {
     pub(crate) added: Vec<Record>,
 }
 
+impl World {
+    /// Notes in each material how large its area lights are on average.
+    fn measure_lights(&mut self) {
+        let mut sums = vec![(0.0f64, 0u32); self.materials.len()];
+        for light in self.lights.iter().filter(|l| l.kind == LIGHT_AREA) {
+            if let Some(sum) = sums.get_mut(light.material as usize) {
+                *sum = (sum.0 + f64::from(light.area_m2), sum.1 + 1);
+            }
+        }
+        for (material, (area, count)) in self.materials.iter_mut().zip(sums) {
+            material.light_area_m2 = (area / f64::from(count.max(1))) as f32;
+        }
+    }
+}
+
 /// Fills an empty store.
 ///
 /// # Errors
@@ -124,6 +139,7 @@ pub(crate) fn build(
         return Err(Failure::input("no room has a ceiling to hang a light from")
             .with_hint("give a material Ke, or a scene file a [[light]]"));
     }
+    world.measure_lights();
     if let Some(tiles) = args.random_tiles {
         rooms
             .cut_at_random(&survey.corners, tiles, common.seed)

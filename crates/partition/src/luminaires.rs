@@ -92,12 +92,8 @@ pub(crate) fn hang(
         }
         world.materials.push(MaterialRecord {
             diffuse: [0.5; 3],
-            specular: [0.0; 3],
-            transmission: [0.0; 3],
             emission: [radiance; 3],
-            index: 1.0,
-            flags: 0,
-            reserved: [0; 2],
+            ..MaterialRecord::BLACK
         });
         world.material_names.push(format!("ceiling-light-{id}"));
         world.lights.push(LightRecord {

@@ -102,7 +102,7 @@ pub(crate) struct Asked {
 }
 
 fn far(direction: Vec3, irradiance: Vec3) -> Option<Sample> {
-    Some(Sample { direction, distance: f32::INFINITY, irradiance, triangle: NONE })
+    Some(Sample { direction, distance: f32::INFINITY, cos_light: 1.0, irradiance, triangle: NONE })
 }
 
 /// A direction to the sun's disc from two uniform numbers; `None` where it cannot arrive.

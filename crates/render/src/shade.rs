@@ -1,8 +1,8 @@
 //! What a rendering thread does: camera rays look, shadow rays ask, and the film adds up.
 //!
 //! Radiance at a diffuse surface is emitted + direct (shadow rays to lights chosen by importance) + indirect
-//! (the photon map of the point's room: Jensen 2001, chapter 7; the paper, section 6). Mirrors and panes send
-//! the camera ray on.
+//! (the photon map of the point's room: Jensen 2001, chapter 7; the paper, section 6). Mirrors, gloss, panes and solid
+//! glass send the camera ray on.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,7 +11,8 @@ use enf_geometry::{Hit, Query};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
-use enf_layout::light::{LIGHT_AREA, LIGHT_PROFILE, LIGHT_SPOT, LightRecord};
+use enf_layout::light::{LIGHT_AREA, LIGHT_PROFILE, LIGHT_SPOT, LIGHT_SUN, LightRecord};
+use enf_layout::material::MaterialRecord;
 use enf_layout::sections::Malformed;
 use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_SHADOW, TransitRecord};
 use enf_rooms::Bsp;
@@ -164,6 +165,8 @@ pub(crate) struct Sample {
     pub(crate) direction: Vec3,
     /// How far that is, m; infinite for the sky.
     pub(crate) distance: f32,
+    /// Cosine between that and the normal of an area light; 1 of others.
+    pub(crate) cos_light: f32,
     /// Irradiance over its density if nothing is in the way, W/m2.
     pub(crate) irradiance: Vec3,
     /// Global index of the triangle that it comes from, or [`NONE`].
@@ -337,7 +340,11 @@ impl Shader<'_> {
             }
             Flight::Escapes { .. } => {
                 if let Some(daylight) = self.context.daylight {
-                    let seen = daylight.seen(Vec3::from(record.direction));
+                    let direction = Vec3::from(record.direction);
+                    // After a gloss the sun is found by shadow rays, for its disc is hardly ever met.
+                    let gloss = f32::from_bits(record.impacts) > 0.0;
+                    let seen =
+                        if gloss { daylight.radiance(direction) } else { daylight.seen(direction) };
                     let seen = Vec3::from(record.flux) * seen;
                     self.film.add_direct(self.film_pixel(record), seen.to_array());
                 }
@@ -361,7 +368,7 @@ impl Shader<'_> {
         }
         let throughput = Vec3::from(record.flux);
         let material = &self.tile.materials[surface.material as usize];
-        let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+        let lobes = scatter::lobes(material, &flight::met(&self.tile, record, &hit, &surface));
         let pixel = self.film_pixel(record);
         if record.bounce == 0 {
             let albedo = lobes.diffuse.to_array();
@@ -372,12 +379,13 @@ impl Shader<'_> {
         }
         if surface.front {
             let emitted = throughput * Vec3::from(material.emission);
+            let emitted = emitted * self.share_of_gloss(record, &surface, material, hit.t);
             if emitted != Vec3::ZERO {
                 self.film.add_direct(pixel, emitted.to_array());
             }
         }
-        if lobes.diffuse != Vec3::ZERO {
-            self.diffuse(record, &surface, throughput, &lobes, scratch, products);
+        if lobes.diffuse != Vec3::ZERO || lobes.gloss().is_some() {
+            self.reflect(record, &surface, throughput, &lobes, scratch, products);
         }
         if !self.go_on(record, &surface, &lobes, throughput, hit.t) {
             return false;
@@ -394,7 +402,7 @@ impl Shader<'_> {
         true
     }
 
-    /// Mirror or straight on, one of the two by chance; false when the path ends.
+    /// Mirror or gloss, straight on, or refracted: one of them by chance; false when the path ends.
     fn go_on(
         &self,
         record: &mut TransitRecord,
@@ -403,8 +411,8 @@ impl Shader<'_> {
         throughput: Vec3,
         t: f32,
     ) -> bool {
-        let specular = Lobes { diffuse: Vec3::ZERO, ..*lobes };
-        if specular.mirror + specular.transmitted == Vec3::ZERO {
+        let gloss = lobes.gloss().is_some();
+        if !gloss && lobes.mirror + lobes.transmitted + lobes.refracted == Vec3::ZERO {
             return false;
         }
         let (_, local) = self.context.pixel(record.light);
@@ -416,38 +424,92 @@ impl Shader<'_> {
             record.bounce,
             0,
         );
-        // The first interactions always go on: roulette would only add noise where the eye is sharpest.
+        let direction = Vec3::from(record.direction);
+        let reflected = lobes.reflect(direction, surface.normal, [u[2], u[3]]);
+        let mirror = reflected.map_or(Vec3::ZERO, |r| r.weight);
+        // Radiance is denser in glass by the square of the index.
+        let refracted = lobes.refracted * (lobes.eta * lobes.eta);
         let mean = |c: Vec3| (throughput * c).dot(Vec3::ONE);
-        let (m, p) = (mean(specular.mirror), mean(specular.transmitted));
-        let total = throughput.dot(Vec3::ONE);
-        if m + p <= 0.0 || total <= 0.0 {
+        let (m, p, r) = (mean(mirror), mean(lobes.transmitted), mean(refracted));
+        let (sum, total) = (m + p + r, throughput.dot(Vec3::ONE));
+        if sum <= 0.0 || total <= 0.0 {
             return false;
         }
-        let survival =
-            if record.bounce < 4 { 1.0 } else { ((m + p) / total).min(scatter::MAX_SURVIVAL) };
+        // The first interactions always go on: roulette would only add noise where the eye is sharpest. A gloss is
+        // blurred anyway.
+        let certain = record.bounce < if gloss { 1 } else { 4 };
+        let survival = if certain { 1.0 } else { (sum / total).min(scatter::MAX_SURVIVAL) };
         if u[0] >= survival {
             return false;
         }
-        let mirror = m / (m + p);
         record.bounce = record.bounce.saturating_add(1);
         record.last_triangle = surface.triangle;
-        if u[1] < mirror {
-            let direction = Vec3::from(record.direction);
-            let new = direction - surface.normal * (2.0 * direction.dot(surface.normal));
-            record.flux = (throughput * specular.mirror / (mirror * survival)).to_array();
-            record.direction = new.normalize().to_array();
-            record.origin = surface.origin.to_array();
-            record.t = 0.0;
-        } else {
-            record.flux =
-                (throughput * specular.transmitted / ((1.0 - mirror) * survival)).to_array();
-            record.t = flight::just_after(t);
+        let pick = u[1] * sum;
+        let after = |colour: Vec3, share: f32| {
+            (throughput * colour * (sum / (share * survival))).to_array()
+        };
+        match reflected {
+            Some(reflected) if pick < m => {
+                record.flux = after(mirror, m);
+                record.impacts = reflected.density.to_bits();
+                record.direction = reflected.direction.to_array();
+                record.origin = surface.origin.to_array();
+                record.t = 0.0;
+            }
+            _ if pick < m + p || r <= 0.0 => {
+                // The same ray: how its direction was drawn is known still.
+                record.flux = after(lobes.transmitted, p);
+                record.t = flight::just_after(t);
+            }
+            _ => {
+                record.flux = after(refracted, r);
+                record.impacts = 0;
+                record.flags = lobes.swung(record.flags, u[2]);
+                record.direction = lobes.refract(direction, surface.normal).to_array();
+                record.origin = surface.beyond().to_array();
+                record.t = 0.0;
+            }
         }
         true
     }
 
-    /// Reflected light at a diffuse point: indirect from the map, direct by shadow rays.
-    fn diffuse(
+    /// How much of an emitter's radiance counts that a ray has met after a gloss: what the shadow rays to it leave (see
+    /// [`light_share`]); all of it after a mirror, or straight from the eye.
+    fn share_of_gloss(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        material: &MaterialRecord,
+        distance: f32,
+    ) -> f32 {
+        let density = f32::from_bits(record.impacts);
+        if density <= 0.0 {
+            return 1.0;
+        }
+        let cos = -surface.normal.dot(Vec3::from(record.direction));
+        1.0 - self.light_share(material, density, distance * distance, cos)
+    }
+
+    /// Light that a gloss reflects is found in two ways, by shadow rays to the lights and by the rays that the gloss sends
+    /// on; the two are weighted so that together they count once (Veach 1997, "Robust Monte Carlo Methods for Light
+    /// Transport Simulation", section 9.2, the power heuristic). This is the weight of the shadow rays.
+    ///
+    /// Weights may be any that both ways know: the gloss's `density` (1/sr) of the direction, and that of a shadow ray to a
+    /// light of the mean size of its material's, one of few.
+    fn light_share(&self, material: &MaterialRecord, density: f32, square: f32, cos: f32) -> f32 {
+        if material.light_area_m2 <= 0.0 {
+            return 0.0;
+        }
+        let chosen = 0.5 * self.context.light_samples as f32;
+        let light = chosen * square / (material.light_area_m2 * cos.max(1e-6));
+        let (light, gloss) = (light * light, density * density);
+        // Infinite only where the other vanishes.
+        if light.is_finite() { light / (light + gloss) } else { 1.0 }
+    }
+
+    /// Light reflected by matter and gloss: indirect from the map (the gloss's comes with the ray that goes on), direct by
+    /// shadow rays.
+    fn reflect(
         &self,
         record: &TransitRecord,
         surface: &Surface,
@@ -458,6 +520,7 @@ impl Shader<'_> {
     ) {
         let reflected = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
         if self.context.indirect
+            && reflected != Vec3::ZERO
             && let Some((map, cache)) = &self.map
         {
             products.gathers += 1;
@@ -472,7 +535,7 @@ impl Shader<'_> {
             let radiance = reflected * Vec3::from(gathered);
             self.film.add_indirect(self.film_pixel(record), radiance.to_array());
         }
-        self.direct(record, surface, reflected, scratch, products);
+        self.direct(record, surface, throughput, lobes, scratch, products);
     }
 
     /// An upper guess of a light's irradiance at a surface, up to a common factor: flux over distance squared,
@@ -514,11 +577,23 @@ impl Shader<'_> {
         &self,
         record: &TransitRecord,
         surface: &Surface,
-        reflected: Vec3,
+        throughput: Vec3,
+        lobes: &Lobes,
         scratch: &mut Scratch,
         products: &mut Products,
     ) {
         let context = self.context;
+        let matter = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
+        let eye = -Vec3::from(record.direction);
+        // What matter and gloss reflect of light from a direction; of the gloss, the share that is not found by rays that it sends on.
+        let reflected = |direction: Vec3, share: &dyn Fn(f32) -> f32| match &lobes.coat {
+            None => matter,
+            Some(coat) => {
+                let (lobe, density) = coat.evaluate(surface.normal, eye, direction);
+                matter * coat.admits(direction.dot(surface.normal))
+                    + throughput * lobe * share(density)
+            }
+        };
         let all = context.tables.lights();
         scratch.weights.clear();
         let mut total = 0.0f32;
@@ -568,11 +643,22 @@ impl Shader<'_> {
                 }
                 _ => self.sample(light, surface, v),
             };
-            let Some(Sample { direction, distance, irradiance, triangle }) = sample else {
+            let Some(sample) = sample else {
                 continue;
             };
-            let irradiance = irradiance / (probability * count as f32);
-            let sample = Sample { direction, distance, irradiance, triangle };
+            let irradiance = sample.irradiance / (probability * count as f32);
+            let sample = Sample { irradiance, ..sample };
+            let emitter = self.tile.materials.get(light.material as usize);
+            let share = |density: f32| match emitter.filter(|_| light.kind == LIGHT_AREA) {
+                Some(emitter) => {
+                    let square = sample.distance * sample.distance;
+                    self.light_share(emitter, density, square, sample.cos_light)
+                }
+                // A ray never meets a point, and the sky only in its own way.
+                None if Daylight::is_daylight(light) && light.kind != LIGHT_SUN => 0.0,
+                None => 1.0,
+            };
+            let reflected = reflected(sample.direction, &share);
             self.ask(record, surface, reflected, &sample, scratch, products);
         }
         if let (Some(daylight), true) = (context.daylight, self.sun) {
@@ -583,6 +669,7 @@ impl Shader<'_> {
             };
             let at = [place(0, s[2]), place(1, s[3])];
             if let Some(sample) = daylight::sun(daylight, surface, at) {
+                let reflected = reflected(sample.direction, &|_| 1.0);
                 self.ask(record, surface, reflected, &sample, scratch, products);
             }
         }
@@ -639,8 +726,8 @@ impl Shader<'_> {
         }
         let flux = Vec3::from(light.flux_w);
         // Irradiance of this sample if nothing is in the way.
+        let cos_light = if light.kind == LIGHT_AREA { -direction.dot(point.normal) } else { 1.0 };
         let irradiance = if light.kind == LIGHT_AREA {
-            let cos_light = -direction.dot(point.normal);
             if cos_light <= 0.0 {
                 return None;
             }
@@ -654,7 +741,7 @@ impl Shader<'_> {
             ) * cos
                 / square)
         };
-        Some(Sample { direction, distance, irradiance, triangle: point.triangle })
+        Some(Sample { direction, distance, cos_light, irradiance, triangle: point.triangle })
     }
 
     /// Whether the room is the outside, where daylight comes from everywhere.
@@ -684,7 +771,8 @@ impl Shader<'_> {
                 let direction = Vec3::from(record.direction);
                 let surface = flight::surface(&self.tile, &hit, direction);
                 let material = &self.tile.materials[surface.material as usize];
-                let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+                let lobes =
+                    scatter::lobes(material, &flight::met(&self.tile, record, &hit, &surface));
                 let flux = Vec3::from(record.flux) * lobes.transmitted;
                 record.flux = flux.to_array();
                 record.leaf = leaf;

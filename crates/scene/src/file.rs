@@ -72,7 +72,12 @@ pub(crate) struct MaterialTable {
     ke: Option<Rgb>,
     tf: Option<Rgb>,
     d: Option<f64>,
+    #[serde(alias = "index")]
     ni: Option<f64>,
+    roughness: Option<f64>,
+    metallic: Option<f64>,
+    solid: Option<bool>,
+    absorption: Option<Rgb>,
     mirror: Option<Rgb>,
     glass: Option<bool>,
     lumens: Option<f64>,
@@ -293,6 +298,17 @@ impl MaterialTable {
                 return Err(format!("\"{key}\" is out of range"));
             }
         }
+        for (key, value) in [("roughness", self.roughness), ("metallic", self.metallic)] {
+            if value.is_some_and(|v| !(0.0..=1.0).contains(&v)) {
+                return Err(format!("\"{key}\" is from 0 to 1"));
+            }
+        }
+        if self.solid == Some(true) && (self.mirror.is_some() || self.glass.is_some()) {
+            return Err("\"solid = true\" excludes \"mirror\" and \"glass\"".into());
+        }
+        if self.absorption.is_some() && self.solid != Some(true) {
+            return Err("\"absorption\" needs \"solid = true\" beside it".into());
+        }
         if self.mirror.is_some() && self.glass == Some(true) {
             return Err("\"mirror\" and \"glass = true\" exclude each other".into());
         }
@@ -304,12 +320,17 @@ impl MaterialTable {
         spec.tf = rgb(self.tf).or(spec.tf);
         spec.d = self.d.or(spec.d);
         spec.ni = self.ni.or(spec.ni);
+        spec.pr = self.roughness.or(spec.pr);
+        spec.pm = self.metallic.or(spec.pm);
+        spec.solid = self.solid.unwrap_or(spec.solid);
+        spec.absorption = rgb(self.absorption).or(spec.absorption);
         spec.mirror = rgb(self.mirror).or(spec.mirror);
         spec.glass = self.glass.or(spec.glass);
         if self.glass == Some(true) {
             spec.mirror = None;
         }
-        if self.glass.is_none() && self.mirror.is_none() && self.tf.is_some() {
+        let opaque = self.mirror.is_some() || spec.solid;
+        if self.glass.is_none() && !opaque && self.tf.is_some() {
             spec.glass = Some(true);
         }
         if let Some(ke) = rgb(self.ke) {

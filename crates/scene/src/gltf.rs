@@ -12,6 +12,7 @@ use crate::{
     InputFile, LoadOptions, SceneError,
     file::LUMENS_PER_WATT,
     input, lamps,
+    materials::{DEFAULT_F0, f0_of},
     mtl::Spec,
     obj::{self, Mesh},
     shape::{Builder, Lookup, Part},
@@ -28,6 +29,9 @@ use std::{
 
 /// Reflectance that stands for a base colour texture, which is not read.
 const TEXTURE_GREY: f64 = 0.5;
+/// Rougher than this, metals and others are matt: a lobe as wide as that is as good as Lambert's, and 1 is what files
+/// say that say nothing.
+const MATT: f64 = 0.95;
 /// Required extensions that change nothing here, or that are understood.
 const UNDERSTOOD: [&str; 8] = [
     "KHR_lights_punctual",
@@ -890,7 +894,18 @@ fn spec(m: &json::Material) -> Spec {
         // 3.9.4: candela per square metre.
         out.ke = Some(nits.map(|v| (v / LUMENS_PER_WATT).clamp(0.0, 1e20)));
     }
-    if transmission > 0.5 {
+    if let Some(volume) = m.extensions.volume.as_ref().filter(|v| v.thickness_factor > 0.0)
+        && transmission > 0.5
+    {
+        // Beer and Lambert: of white light, the colour is left after the distance.
+        let color = volume.attenuation_color.unwrap_or([1.0; 3]);
+        let distance = volume.attenuation_distance.filter(|d| *d > 0.0);
+        let per_m = |c: f64| distance.map_or(0.0, |d| -libm::log(c.clamp(1e-6, 1.0)) / d);
+        out.solid = true;
+        out.tf = Some(base.map(|v| v * transmission));
+        out.absorption = Some(color.map(|c| per_m(c).clamp(0.0, 1e6)));
+        out.ni = ior;
+    } else if transmission > 0.5 {
         out.glass = Some(true);
         out.tf = Some(base.map(|v| v * transmission));
         out.kd = Some(base.map(|v| v * (1.0 - transmission)));
@@ -900,10 +915,15 @@ fn spec(m: &json::Material) -> Spec {
         out.kd = Some(base);
         out.d = Some(alpha.max(0.0));
         out.ni = ior;
-    } else if metallic > 0.5 && roughness < 0.1 {
-        out.mirror = Some(base);
     } else {
         out.kd = Some(base);
+        if roughness <= MATT {
+            let metallic = metallic.clamp(0.0, 1.0);
+            let plain = ior.filter(|&n| n > 1.0).map_or(DEFAULT_F0, f0_of);
+            out.kd = Some(base.map(|v| v * (1.0 - metallic)));
+            out.ks = Some(base.map(|v| plain + metallic * (v - plain)));
+            out.pr = Some(roughness.clamp(0.0, 1.0));
+        }
     }
     out
 }

@@ -588,8 +588,8 @@ impl Loader {
         }
         if table.highlights > 0 {
             self.warnings.push(format!(
-                "{}: {} materials have a highlight (Ks) that is not rendered; illum 3 makes it a \
-                 mirror",
+                "{}: {} materials have a highlight (Ks) of no known width, which is not rendered: give \
+                 Ns or Pr, or as a [[material]] a roughness",
                 path.display(),
                 table.highlights
             ));

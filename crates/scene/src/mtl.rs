@@ -24,14 +24,22 @@ pub(crate) struct Spec {
     pub(crate) d: Option<f64>,
     /// `Ni`.
     pub(crate) ni: Option<f64>,
+    /// `Ns`, the exponent of Phong's highlight.
+    pub(crate) ns: Option<f64>,
     /// `Pm`, metalness.
     pub(crate) pm: Option<f64>,
+    /// `Pr`, roughness: the root of GGX's alpha.
+    pub(crate) pr: Option<f64>,
     /// `illum`.
     pub(crate) illum: Option<u8>,
     /// Scene file: `glass`.
     pub(crate) glass: Option<bool>,
     /// Scene file: `mirror`.
     pub(crate) mirror: Option<[f64; 3]>,
+    /// Scene file: `solid`.
+    pub(crate) solid: bool,
+    /// Scene file: `absorption` inside, 1/m.
+    pub(crate) absorption: Option<[f64; 3]>,
     /// Scene file: flux of each light of this material, W.
     pub(crate) power: Option<[f64; 3]>,
     /// Some `map_...` is given (and not used).
@@ -68,7 +76,9 @@ pub(crate) fn read(path: &Path) -> Result<(BTreeMap<String, Spec>, InputFile), S
             }
             b"Tr" => spec.d = Some(spec.d.unwrap_or(1.0 - one()?)),
             b"Ni" => spec.ni = Some(one()?),
+            b"Ns" => spec.ns = Some(one()?),
             b"Pm" => spec.pm = Some(one()?),
+            b"Pr" => spec.pr = Some(one()?),
             b"illum" => {
                 let value = one()?;
                 if !(0.0..=255.0).contains(&value) {

@@ -1,7 +1,7 @@
 //! glTF files made here, against the same scenes as OBJ, bit by bit; against the crate `gltf`; and damaged.
 
 use enf_layout::light::{LIGHT_POINT, LIGHT_SPOT};
-use enf_layout::material::MATERIAL_SEE_THROUGH;
+use enf_layout::material::{MATERIAL_GLOSS, MATERIAL_SEE_THROUGH, MATERIAL_SOLID};
 use enf_scene::{LoadOptions, Scene, SceneTriangle, Spool, Up, load};
 use proptest::prelude::*;
 use serde_json::{Value, json};
@@ -418,13 +418,22 @@ fn materials_as_photons_see_them() {
             json!({"emissiveFactor": [1, 0.5, 0], "pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 1]}}),
         ),
         ("plain", json!({"pbrMetallicRoughness": {"baseColorFactor": [0.25, 0.25, 0.25, 1]}})),
+        (
+            "plastic",
+            json!({"pbrMetallicRoughness": {"baseColorFactor": [0.5, 0.25, 0.5, 1], "metallicFactor": 0, "roughnessFactor": 0.5}}),
+        ),
+        (
+            "solid",
+            json!({"extensions": {"KHR_materials_transmission": {"transmissionFactor": 1.0},
+            "KHR_materials_volume": {"thicknessFactor": 0.1, "attenuationDistance": 0.1, "attenuationColor": [0.5, 1, 1]}}}),
+        ),
     ] {
         let mut material = material;
         material["name"] = json!(name);
         m.push("materials", material);
     }
     let quad = m.positions(&QUAD);
-    let primitives: Vec<Value> = (0..8)
+    let primitives: Vec<Value> = (0..10)
         .map(|i| json!({"attributes": {"POSITION": quad}, "mode": 6, "material": i}))
         .chain([json!({"attributes": {"POSITION": quad}, "mode": 6})])
         .collect();
@@ -435,7 +444,16 @@ fn materials_as_photons_see_them() {
     let of: BTreeMap<_, _> = scene.materials.iter().map(|m| (m.name.as_str(), m.record)).collect();
     assert_eq!(of["plain"].diffuse, [0.5, 0.4, 0.3]);
     assert_eq!((of["mirror"].specular, of["mirror"].diffuse), ([0.9, 0.8, 0.7], [0.0; 3]));
-    assert_eq!((of["brushed"].specular, of["brushed"].diffuse), ([0.0; 3], [0.9, 0.8, 0.7]));
+    assert_eq!((of["mirror"].roughness, of["mirror"].flags), (0.0025, MATERIAL_GLOSS));
+    assert_eq!((of["brushed"].specular, of["brushed"].diffuse), ([0.9, 0.8, 0.7], [0.0; 3]));
+    assert_eq!((of["brushed"].roughness, of["brushed"].flags), (0.16, MATERIAL_GLOSS));
+    let plastic = of["plastic"];
+    assert_eq!((plastic.specular, plastic.diffuse), ([0.04; 3], [0.5, 0.25, 0.5]));
+    let solid = of["solid"];
+    assert_eq!(solid.flags, MATERIAL_SOLID | MATERIAL_SEE_THROUGH);
+    assert_eq!((solid.transmission, solid.index), ([1.0; 3], 1.5));
+    assert!((solid.absorption[0] - 10.0 * 2f32.ln()).abs() < 1e-5, "{:?}", solid.absorption);
+    assert_eq!(solid.absorption[1], 0.0);
     assert_eq!((of["pane"].diffuse, of["pane"].transmission), ([0.125; 3], [0.75; 3]));
     assert_eq!((of["pane"].index, of["pane"].flags), (1.5, MATERIAL_SEE_THROUGH));
     assert_eq!((of["glass"].transmission, of["glass"].index), ([0.75, 1., 1.], 1.25));

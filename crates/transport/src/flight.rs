@@ -7,6 +7,7 @@ use enf_rooms::Bsp;
 use glam::{DVec3, Vec3};
 
 use crate::emission::OFFSET_PER_DELTA;
+use crate::scatter::{Met, Swings};
 
 /// A tile in memory, and the tables that say where it lies.
 #[derive(Clone, Copy)]
@@ -129,6 +130,13 @@ pub fn query(record: &TransitRecord, end: f32) -> Query {
     }
 }
 
+impl Surface {
+    /// Where a ray starts that goes on beyond the surface, m: as far below it as `origin` is above.
+    pub fn beyond(&self) -> Vec3 {
+        self.position - (self.origin - self.position)
+    }
+}
+
 /// The surface at a hit. It depends on the ray and the triangle alone.
 pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
     let [a, b, c] = tile.structure.corners(hit.slot).map(|p| p.as_dvec3());
@@ -144,6 +152,17 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
         origin: position + normal * (tile.delta * OFFSET_PER_DELTA),
         triangle: hit.global,
         material: tile.structure.material(hit.slot),
+    }
+}
+
+/// How a ray meets the surface at its hit: what [`crate::scatter::lobes`] asks.
+pub fn met(_tile: &Resident<'_>, record: &TransitRecord, hit: &Hit, surface: &Surface) -> Met {
+    Met {
+        cos: -surface.normal.dot(Vec3::from(record.direction)),
+        front: surface.front,
+        length: hit.t,
+        texel: Vec3::ONE,
+        swings: Swings::of(record.flags),
     }
 }
 

@@ -7,6 +7,7 @@
 
 pub mod emission;
 pub mod flight;
+pub mod gloss;
 pub mod lamp;
 pub mod photon;
 pub mod rng;

@@ -6,7 +6,8 @@ use enf_layout::octahedral;
 use enf_layout::photon::{PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::rgbe;
 use enf_layout::transit::{
-    TRANSIT_AIMED, TRANSIT_MIRRORED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord,
+    TRANSIT_ACROSS, TRANSIT_AIMED, TRANSIT_ALONG, TRANSIT_MIRRORED, TRANSIT_PROBE,
+    TRANSIT_UNSCATTERED, TransitRecord,
 };
 use glam::Vec3;
 
@@ -147,7 +148,7 @@ fn step(
     let direction = Vec3::from(record.direction);
     let surface = flight::surface(tile, &hit, direction);
     let material = &tile.materials[surface.material as usize];
-    let lobes = scatter::lobes(material, -surface.normal.dot(direction));
+    let lobes = scatter::lobes(material, &flight::met(tile, record, &hit, &surface));
     if probe {
         // Probes see through panes and end at anything else, in a room that sees the light.
         if lobes.transmitted.max_element() <= 0.0 {
@@ -163,18 +164,24 @@ fn step(
     let flux = Vec3::from(record.flux);
     let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
     if scatter::stores_impacts(material) {
-        sink.impact(room, record.light, stored(seed, record, &surface, flux));
+        // Below gloss, what counts is how much of the light the gloss lets through.
+        let cos = -surface.normal.dot(direction);
+        let admitted = lobes.coat.map_or(flux, |coat| flux * coat.admits(cos));
+        sink.impact(room, record.light, stored(seed, record, &surface, admitted));
         record.impacts = record.impacts.saturating_add(1);
     }
     let u = rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
     let (event, after) =
         scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
-    let taken = sink.reflected(room, record, &surface, flux * lobes.diffuse, &event);
+    // What lies below gloss is no Lambertian: photons that it reflects find the openings themselves.
+    let lambert = if lobes.coat.is_some() { Vec3::ZERO } else { flux * lobes.diffuse };
+    let taken = sink.reflected(room, record, &surface, lambert, &event);
     let (event, after) = if taken.ends { (Event::Absorbed, Vec3::ZERO) } else { (event, after) };
     sink.absorb(room, flux - after - taken.flux);
     record.flux = after.to_array();
     record.bounce = record.bounce.wrapping_add(1);
     record.last_triangle = hit.global;
+    let mut start = surface.origin;
     match event {
         Event::Absorbed => {
             if record.flags & TRANSIT_AIMED == 0 {
@@ -188,18 +195,24 @@ fn step(
             return true;
         }
         Event::Diffuse(new) => {
-            record.flags &= !(TRANSIT_UNSCATTERED | TRANSIT_MIRRORED);
+            record.flags &=
+                !(TRANSIT_UNSCATTERED | TRANSIT_MIRRORED | TRANSIT_ACROSS | TRANSIT_ALONG);
             record.direction = new.to_array();
         }
         Event::Mirror(new) => {
             record.flags |= TRANSIT_MIRRORED;
             record.direction = new.to_array();
         }
+        Event::Refracted(new) => {
+            record.flags = lobes.swung(record.flags | TRANSIT_MIRRORED, u[3]);
+            record.direction = new.to_array();
+            start = surface.beyond();
+        }
     }
-    record.origin = surface.origin.to_array();
+    record.origin = start.to_array();
     record.t = 0.0;
     let direction = Vec3::from(record.direction);
-    record.leaf = tile.bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
+    record.leaf = tile.bsp.locate_towards(start.as_dvec3(), direction.as_dvec3());
     let next = leaves[record.leaf as usize].tile;
     if next != tile.tile {
         sink.park(next, *record);

@@ -218,6 +218,17 @@ pub(super) struct MaterialExtensions {
     pub(super) transmission: Option<Transmission>,
     #[serde(rename = "KHR_materials_ior")]
     pub(super) ior: Option<Ior>,
+    #[serde(rename = "KHR_materials_volume")]
+    pub(super) volume: Option<Volume>,
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct Volume {
+    #[serde(default)]
+    pub(super) thickness_factor: f64,
+    pub(super) attenuation_distance: Option<f64>,
+    pub(super) attenuation_color: Option<[f64; 3]>,
 }
 
 #[derive(Deserialize)]
