@@ -235,7 +235,7 @@ impl Case {
             "--indirect",
             "none",
             "--samples",
-            "16",
+            "8",
             "--light-samples",
             "32",
         ]));
@@ -474,6 +474,73 @@ fn a_line_through_three_openings_counts_once() {
     assert!((inner / expected - 1.0).abs() < 4.5 * sigma, "{inner} W for {expected}");
 }
 
+/// A room on stilts with a hole in its floor: all its light comes from the ground, whose photons are the coarse ones of the
+/// whole sky. They are aimed at the hole, and bring what a quadrature says.
+#[test]
+fn light_from_the_ground() {
+    let hole = [0.375, 0.625, 0.375, 0.625];
+    let mut model = Model::default();
+    room(&mut model, 0.0, &[(0, hole)]);
+    model.object("ground");
+    model.material("ground");
+    let (low, high, depth) = (-8.0, 12.0, -3.0);
+    model.quad([[low, low, depth], [high, low, depth], [high, high, depth], [low, high, depth]]);
+    let case = Case::new(&model, &[]);
+    // The room is black: nothing goes back and forth below it.
+    let mtl = format!("newmtl grey\nKd 0 0 0\nnewmtl ground\nKd {RHO} {RHO} {RHO}\n");
+    std::fs::write(case.dir.path().join("room.mtl"), mtl).unwrap();
+    let (all, stats) = case.traced("model = \"uniform\"\nground = 0", "400k");
+    assert_eq!(number(&stats, "photons_emitted"), 800_000.0);
+    let n = |key: &str| number(&stats, key);
+    assert_eq!(n("photons_emitted"), n("photons_absorbed") + n("photons_escaped"));
+    let balance = n("flux_emitted_w") - n("flux_absorbed_w") - n("flux_escaped_w");
+    assert!(balance.abs() < 1e-4 * n("flux_emitted_w"), "{balance} W are missing");
+    let inside = |p: &&PhotonRecord| {
+        let (at, normal) = (p.position().map(f64::from), p.normal().map(f64::from));
+        at[2] > -1e-3 && dot(sub([2.0, 2.0, 1.5], at), normal) > 0.0
+    };
+    let (mut found, mut squares) = (0.0, 0.0);
+    for photon in all.iter().filter(inside) {
+        let flux = f64::from(photon.flux_w()[1]);
+        (found, squares) = (found + flux, squares + flux * flux);
+        assert_eq!(photon.flags & PHOTON_DIRECT, 0, "no sky is seen from inside");
+    }
+    // The ground's irradiance: the sky that the room does not hide. Both squares are cut into cells.
+    let (cells, rings, sectors) = (40, 24, 48);
+    let mut expected = 0.0;
+    for cell in 0..cells * cells {
+        let at = |k: i32| low + (high - low) * (f64::from(k) + 0.5) / f64::from(cells);
+        let p = [at(cell % cells), at(cell / cells), depth];
+        let mut free = 0;
+        for i in 0..rings * sectors {
+            let level = ((f64::from(i / sectors) + 0.5) / f64::from(rings)).sqrt();
+            let (s, c) = (TAU * (f64::from(i % sectors) + 0.5) / f64::from(sectors)).sin_cos();
+            let to = [level * c, level * s, (1.0 - level * level).sqrt()];
+            // Slabs of the box of the room.
+            let (mut near, mut far) = (0.0f64, f64::INFINITY);
+            for axis in 0..3 {
+                let a = (0.0 - p[axis]) / to[axis];
+                let b = (SIZE[axis] - p[axis]) / to[axis];
+                (near, far) = (near.max(a.min(b)), far.min(a.max(b)));
+            }
+            free += i32::from(near > far);
+        }
+        let irradiance = DIFFUSE * f64::from(free) / f64::from(rings * sectors);
+        let area = (high - low).powi(2) / f64::from(cells * cells);
+        for i in 0..16 {
+            let at = |k: i32| 1.5 + (f64::from(k) + 0.5) / 4.0;
+            let to = sub([at(i % 4), at(i / 4), 0.0], p);
+            let square = dot(to, to);
+            let cos2 = to[2] * to[2] / square;
+            expected += RHO * irradiance * area * cos2 / (PI * square) / 16.0;
+        }
+    }
+    // Photons that came of one are not independent: 4 sigma of twice the deviation, and 1 % for the quadrature.
+    let sigma = 2.0 * squares.sqrt();
+    assert!(sigma < 0.02 * expected, "{sigma} of {expected}");
+    assert!((found - expected).abs() < 4.0 * sigma + 0.01 * expected, "{found} W for {expected}");
+}
+
 /// The sun through a roof opening: a patch as large as the opening, of its irradiance times the sine of its height; and
 /// the photons' flux is that times its area.
 #[test]
@@ -557,6 +624,15 @@ fn the_same_bits() {
         digest(&store, "photons")
     };
     let one = trace("plain", &[], &["--threads", "1"]);
+    let stats = dir.path().join("partition.json");
+    let again = ["--quiet", "--stats"];
+    ok(bin("enf-partition")
+        .arg(&furnished)
+        .arg("-o")
+        .arg(dir.path().join("plain.enf"))
+        .args(again)
+        .arg(&stats));
+    assert!(number(&json(&stats), "sky_openings") >= 1.0);
     assert_eq!(one, trace("tiles", &["--random-tiles", "9"], &["--threads", "2"]));
     assert_eq!(one, trace("small", &["--tile-triangles", "300"], &["--queue-block", "64"]));
 }

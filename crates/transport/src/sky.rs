@@ -741,3 +741,244 @@ impl Daylight {
         self.level[0] * up + self.level[1] * (1.0 - up)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use enf_daylight::{Amount, Pattern, record};
+
+    fn sky(number: u8) -> SkyRecord {
+        let amount = Amount {
+            diffuse: 100.0,
+            direct: 300.0,
+            ground: [0.1, 0.2, 0.3],
+            color: [0.8, 1.0, 1.3],
+            sun_color: [1.0; 3],
+        };
+        record(&Pattern::cie(number), DVec3::new(0.48, -0.6, 0.64), &amount)
+    }
+
+    /// An opening of 1 x 1 m in the plane x = `x`, from y and z on; light goes towards +x (or -x).
+    fn window(x: f32, y: f32, z: f32, forth: bool) -> [[[f32; 3]; 3]; 2] {
+        let (a, b, c, d) = ([x, y, z], [x, y + 1.0, z], [x, y + 1.0, z + 1.0], [x, y, z + 1.0]);
+        if forth { [[a, b, c], [a, c, d]] } else { [[a, c, b], [a, d, c]] }
+    }
+
+    /// Daylight through such openings, and their lights: sky, then sun, of each.
+    fn daylight(
+        record: &SkyRecord,
+        windows: &[[[[f32; 3]; 3]; 2]],
+    ) -> (Daylight, Vec<LightRecord>, Vec<EmitterRecord>) {
+        let (sky, mut lights, mut emitters) = (Sky::new(record), Vec::new(), Vec::new());
+        let grid = Grid::new(&sky);
+        for triangles in windows {
+            let [a, b, c] = triangles[0].map(|p| Vec3::from(p).as_dvec3());
+            let axis = (b - a).cross(c - a).normalize();
+            let flux = [sky_flux(&grid, axis, 1.0), sun_flux(&sky, axis, 1.0)];
+            for (kind, flux) in [(LIGHT_SKY, flux[0]), (LIGHT_SUN, flux[1])] {
+                lights.push(LightRecord {
+                    kind,
+                    first_emitter: emitters.len() as u32,
+                    emitter_count: 2,
+                    flux_w: flux.as_vec3().to_array(),
+                    area_m2: 1.0,
+                    axis: axis.as_vec3().to_array(),
+                    ..LightRecord::DARK
+                });
+            }
+            for (i, &corners) in triangles.iter().enumerate() {
+                let cumulative = 0.5 * (i + 1) as f32;
+                emitters.push(EmitterRecord { corners, triangle: NONE, cumulative, reserved: 0 });
+            }
+        }
+        for kind in [LIGHT_SKY, LIGHT_SUN] {
+            let shell = Shell::new([-5.0; 3], [9.0; 3]);
+            let flux = shell_flux(kind, &sky, &grid, &shell).as_vec3().to_array();
+            lights.push(LightRecord { kind, flux_w: flux, ..LightRecord::DARK });
+        }
+        let all = Daylight::new(record, Shell::new([-5.0; 3], [9.0; 3]), 1e-4, &lights, &emitters);
+        (all, lights, emitters)
+    }
+
+    /// Each light's photons carry its flux, start on the shell, and go where they were aimed. 20,000 photons: the bound is
+    /// 4 standard deviations of the mean as measured, and no photon carries much more than another.
+    #[test]
+    fn photons_carry_the_flux_of_their_light() {
+        for number in [1, 5, 12, 15] {
+            let (all, lights, emitters) = daylight(
+                &sky(number),
+                &[window(0.0, 0.0, 1.0, false), window(2.0, 3.0, 0.0, true)],
+            );
+            for (id, light) in lights.iter().enumerate() {
+                if light.flux_w == [0.0; 3] {
+                    continue;
+                }
+                let own = light.first_emitter as usize
+                    ..(light.first_emitter + light.emitter_count) as usize;
+                let (mut sum, mut squares, mut most, count) = (0.0, 0.0, 0.0f64, 20_000);
+                for photon in 0..count {
+                    let arrival = all.emit(7, id as u32, light, &emitters[own.clone()], photon);
+                    let flux = f64::from(arrival.flux.y);
+                    (sum, squares, most) = (sum + flux, squares + flux * flux, most.max(flux));
+                    let Start { origin, direction, .. } = arrival.start;
+                    assert!((direction.length() - 1.0).abs() < 1e-6);
+                    let shell =
+                        (origin.as_dvec3() - all.shell.min).min(all.shell.max - origin.as_dvec3());
+                    assert!(shell.min_element().abs() < 1e-4, "{origin}");
+                    if light.emitter_count > 0 {
+                        let x = origin + direction * arrival.reach as f32;
+                        assert!((x.x - emitters[own.start].corners[0][0]).abs() < 1e-4);
+                        assert!(flux == 0.0 || direction.dot(Vec3::from(light.axis)) > 0.0);
+                    }
+                }
+                let n = f64::from(count);
+                let mean = sum / n;
+                let sigma = ((squares / n - mean * mean) / n).max(0.0).sqrt();
+                let expected = f64::from(light.flux_w[1]);
+                assert!(
+                    (mean - expected).abs() < 4.0 * sigma + 2e-3 * expected,
+                    "sky {number}, light {id}: {mean} for {expected}, sigma {sigma}"
+                );
+                assert!(most < 4.0 * mean, "sky {number}, light {id}: {most} of {mean}");
+            }
+        }
+    }
+
+    /// The density of a table is what it says: it integrates to 1 where it is positive, and covers all that is lit.
+    #[test]
+    fn densities_integrate_to_one() {
+        let sky = Sky::new(&sky(12));
+        let grid = Grid::new(&sky);
+        for normal in [None, Some(DVec3::Z), Some(DVec3::new(0.6, 0.0, -0.8)), Some(DVec3::NEG_Z)] {
+            let table = Table::new(&grid, 1.0, normal);
+            assert_eq!(table.cumulative[CELLS - 1], STEPS);
+            assert!(table.cumulative.is_sorted());
+            // 1/density over samples is the solid angle of the cells that can be drawn.
+            let mut state = 1u32;
+            let mut random = || {
+                state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+                rng::unit(state)
+            };
+            let count = 40_000;
+            let mut irradiance = 0.0;
+            for _ in 0..count {
+                let (to, density) = table.sample([random(), random(), random()]);
+                let lift = normal.map_or(1.0, |n| n.dot(to).max(0.0));
+                irradiance += if to.z < 0.0 { 1.0 } else { sky.brightness(to) } * lift / density;
+            }
+            if let Some(n) = normal {
+                let ground = PI * (1.0 - n.z) / 2.0;
+                let expected = grid.sky_irradiance(n) + ground;
+                let found = irradiance / f64::from(count);
+                assert!((found / expected - 1.0).abs() < 0.01, "{found} for {expected}");
+            }
+        }
+        // Nothing shines at all: something is drawn all the same.
+        let dark = Sky::new(&SkyRecord { scale: 0.0, ..self::sky(5) });
+        let table = Table::new(&Grid::new(&dark), 0.0, Some(DVec3::Z));
+        assert!(table.sample([0.5; 3]).1 > 0.0);
+    }
+
+    /// A line through two windows belongs to the first, and to no light without an opening.
+    #[test]
+    fn lines_have_one_owner() {
+        let (all, ..) =
+            daylight(&sky(5), &[window(0.0, 0.0, 0.0, true), window(4.0, 0.0, 0.0, true)]);
+        let line = |y: f32, reach: f64| Arrival {
+            start: Start { origin: Vec3::new(-5.5, y, 0.5), direction: Vec3::X, triangle: NONE },
+            flux: Vec3::ONE,
+            reach,
+        };
+        assert!(all.owns(&line(0.3, 5.5)));
+        assert!(!all.owns(&line(0.3, 9.5)));
+        assert!(!all.owns(&line(0.3, f64::INFINITY)));
+        assert!(all.owns(&line(1.5, f64::INFINITY)));
+        // Seen from inside, the other way round.
+        let inside = Vec3::new(6.0, 0.3, 0.5);
+        assert!(!all.leaves_before(inside, Vec3::NEG_X, 2.0));
+        assert!(all.leaves_before(inside, Vec3::NEG_X, 6.0));
+        assert!(!all.leaves_before(Vec3::new(-2.0, 0.3, 0.5), Vec3::X, f32::INFINITY));
+    }
+
+    fn many_windows() -> Vec<[[[f32; 3]; 3]; 2]> {
+        let place = |i: u32| ((i % 5) as f32 * 1.5 - 4.0, (i / 5) as f32 * 1.2 - 3.0);
+        (0..25).map(|i| window(6.0, place(i).0, place(i).1, i % 7 != 3)).collect()
+    }
+
+    #[test]
+    fn the_tree_knows_its_probabilities() {
+        let (all, ..) = daylight(&sky(5), &many_windows());
+        let openings = &all.openings;
+        assert_eq!(openings.triangles.len(), 50);
+        for point in [DVec3::ZERO, DVec3::new(5.5, 1.0, 2.0), DVec3::new(6.0, -3.9, -2.9)] {
+            let sum: f64 = (0..50).map(|t| openings.probability(point, t)).sum();
+            assert!((sum - 1.0).abs() < 1e-12);
+            for i in 0..200 {
+                let (triangle, p) = openings.pick(point, (f64::from(i) + 0.5) / 200.0).unwrap();
+                assert!((p - openings.probability(point, triangle)).abs() < 1e-12);
+            }
+        }
+    }
+
+    /// What is aimed at windows, and what is left to chance, is together what they get: the configuration factor, by
+    /// quadrature. 4,000 photons from a point far away, and from one close to the windows, where some is left to chance; the
+    /// bound is 4 standard deviations as measured.
+    #[test]
+    fn aim_and_chance_share_all() {
+        let windows = many_windows();
+        let (all, ..) = daylight(&sky(5), &windows);
+        let (far, near) = (Vec3::new(-2.0, 0.1, -3.5), Vec3::new(5.8, -3.5, -2.5));
+        for (position, some_by_chance) in [(far, false), (near, true)] {
+            let surface = Surface {
+                position,
+                normal: Vec3::new(0.6, 0.0, 0.8),
+                front: true,
+                origin: position,
+                triangle: NONE,
+                material: 0,
+            };
+            let (point, normal) = (surface.origin.as_dvec3(), surface.normal.as_dvec3());
+            let mut expected = 0.0;
+            let steps = 60;
+            // Those that light passes towards -x get nothing from here.
+            for triangles in (0..25).filter(|i| i % 7 != 3).map(|i| &windows[i]) {
+                let [a, b, _] = triangles[0].map(|p| Vec3::from(p).as_dvec3());
+                let d = Vec3::from(triangles[1][2]).as_dvec3();
+                for i in 0..steps * steps {
+                    let at = |k: u32| (f64::from(k) + 0.5) / f64::from(steps);
+                    let to = a + (b - a) * at(i % steps) + (d - a) * at(i / steps) - point;
+                    let square = to.length_squared();
+                    let cos = to.dot(normal).max(0.0) / square.sqrt();
+                    expected +=
+                        cos * to.x / square.sqrt() / (PI * square) / f64::from(steps * steps);
+                }
+            }
+            let count = 4000u32;
+            let (mut sum, mut squares, mut chance) = (0.0, 0.0, 0);
+            for photon in 0..count {
+                let mut own = 0.0;
+                // So many photons of a light that splitting and bundling both happen.
+                all.aim(3, (0, photon, 0), &surface, Vec3::ONE, 1000, |_, flux, _| {
+                    own += f64::from(flux.y);
+                });
+                let u = rng::uniforms(3, Purpose::Scatter, 0, photon, 0, 0);
+                let direction = vector::cosine(surface.normal, u[0], u[1]);
+                let hits =
+                    all.openings.passed(point, direction.as_dvec3(), f64::INFINITY, true, true);
+                if hits.is_some() && !all.is_aimed(surface.origin, direction) {
+                    own += 1.0;
+                    chance += 1;
+                }
+                (sum, squares) = (sum + own, squares + own * own);
+            }
+            let n = f64::from(count);
+            let mean = sum / n;
+            let sigma = ((squares / n - mean * mean) / n).sqrt();
+            assert!(
+                (mean - expected).abs() < 4.0 * sigma && sigma < 0.05 * expected,
+                "{mean} for {expected}, sigma {sigma}"
+            );
+            assert_eq!(chance > 0, some_by_chance, "{chance}");
+        }
+    }
+}
