@@ -1,6 +1,7 @@
 //! How many photons each light emits.
 
 use enf_layout::light::LightRecord;
+use enf_transport::sky::Daylight;
 
 /// What was asked for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -8,7 +9,7 @@ pub enum PhotonCount {
     /// So many from every light.
     PerLight(u64),
     /// So many in all, shared by power: every photon carries the same flux, but for the rounding of counts to
-    /// whole photons.
+    /// whole photons. (Those of daylight that comes through no opening may carry more: it counts at most as all other lights together.)
     Total(u64),
 }
 
@@ -38,9 +39,16 @@ impl Counts {
             }
             PhotonCount::PerLight(each) => Ok(Self { each, by_light: Vec::new() }),
             PhotonCount::Total(total) => {
-                let power = |l: &LightRecord| {
+                let flux = |l: &LightRecord| {
                     let [r, g, b] = l.flux_w.map(f64::from);
                     0.2126 * r + 0.7152 * g + 0.0722 * b
+                };
+                // Daylight that comes through no opening is more than all else, and hardly anybody sees it.
+                let everywhere = Daylight::is_everywhere;
+                let others: f64 = lights.iter().filter(|l| !everywhere(l)).map(flux).sum();
+                let power = |l: &LightRecord| match everywhere(l) && others > 0.0 {
+                    true => flux(l).min(others),
+                    false => flux(l),
                 };
                 Ok(Self { each: 0, by_light: by_power(total, lights.iter().map(power))? })
             }

@@ -13,6 +13,7 @@ mod tracer;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
@@ -325,16 +326,18 @@ fn trace(
     let margin = (block * size_of::<TransitRecord>() * (common.threads * 3 + 2)) as u64 + (2 << 20);
     let (cache, load) = TileCache::new(reader, queue.resident_rooms.0, margin, timeline);
 
+    let (waited, began) = (AtomicU64::new(0), Instant::now());
     let (recorder, driven) = std::thread::scope(|scope| {
         let loader = scope.spawn(load);
-        let recording = scope.spawn(|| recorder.serve(&mailbox));
+        let recording = scope.spawn(|| recorder.serve(&mailbox, &timeline.lane("recorder")));
         for thread in 0..common.threads {
             let (take_job, done, messages) = (take_job.clone(), done.clone(), messages.clone());
-            let context = &context;
+            let (context, waited) = (&context, &waited);
             scope.spawn(move || {
                 let lane = timeline.lane(&format!("tracer {thread}"));
                 let mut group = Group::default();
-                for job in take_job {
+                let mut waiting = Waits::default();
+                while let Ok(job) = waiting.during(&lane, "wait for work", || take_job.recv()) {
                     let span = lane.span("trace", job.tile.tile);
                     let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
                         context.run(&job, &mut group)
@@ -342,9 +345,12 @@ fn trace(
                     drop(span);
                     drop(job);
                     let result = match ran {
-                        Ok(Ok(products)) => messages
-                            .send(Message::Products(Box::new(products)))
-                            .map_err(|_| Failure::internal("the recorder has stopped")),
+                        Ok(Ok(products)) => {
+                            let products = Message::Products(Box::new(products));
+                            waiting
+                                .during(&lane, "wait for the recorder", || messages.send(products))
+                                .map_err(|_| Failure::internal("the recorder has stopped"))
+                        }
                         Ok(Err(malformed)) => Err(StoreError::from(malformed).into()),
                         Err(_) => Err(Failure::internal("a tracing thread failed")),
                     };
@@ -352,6 +358,7 @@ fn trace(
                         break;
                     }
                 }
+                waited.fetch_add(waiting.0.as_nanos() as u64, Ordering::Relaxed);
             });
         }
         drop((take_job, done));
@@ -378,12 +385,35 @@ fn trace(
         let _ = loader.join();
         (recorder, driven.map(|()| loads))
     });
+    let tracers_s = began.elapsed().as_secs_f64() * common.threads as f64;
+    let waited_s = waited.into_inner() as f64 / 1e9;
+    session.stats.set("tracers_waited_s", waited_s);
+    session.stats.set("tracers_waited_share", waited_s / tracers_s.max(f64::MIN_POSITIVE));
     let recorder = recorder?;
     let loads = driven?;
     let store = tables.partition.store();
     let totals = recorder.seal(store, identity, tables.rooms().len() as u32)?;
     record_loads(session, tables, &loads);
     Ok(totals)
+}
+
+/// How long a tracing thread has waited.
+#[derive(Default)]
+struct Waits(Duration);
+
+impl Waits {
+    /// Waits for something, on the timeline as well.
+    fn during<T>(
+        &mut self,
+        lane: &enf_stage::Lane,
+        why: &'static str,
+        wait: impl FnOnce() -> T,
+    ) -> T {
+        let (_span, since) = (lane.io(why, 0u32), Instant::now());
+        let result = wait();
+        self.0 += since.elapsed();
+        result
+    }
 }
 
 /// The main thread: chooses tiles, hands out jobs, commits.
@@ -484,9 +514,9 @@ impl Driver<'_> {
             }
             progress.set(status.finished);
             progress.message(&format!(
-                "room {} ({:.1} % of the flux absorbed)",
+                "room {}, {:.1} % of the flux not at its end",
                 tables.tiles()[tile as usize].room,
-                100.0 * status.finished_w / emitted_w.max(f64::MIN_POSITIVE)
+                100.0 * (1.0 - status.finished_w / emitted_w.max(f64::MIN_POSITIVE)).max(0.0)
             ));
             if self.share.of > 1 {
                 self.take_news(false)?;

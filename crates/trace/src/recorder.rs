@@ -13,7 +13,7 @@ use enf_layout::segment::StageKind;
 use enf_layout::segment::{Codec, ExtentKind};
 use enf_layout::transit::TransitRecord;
 use enf_stage::rowtable::RowTable;
-use enf_stage::{Failure, interrupt};
+use enf_stage::{Failure, Lane, interrupt};
 use enf_store::{
     Buffer, Extent, Identity, MemoryBudget, StageReader, StageWriter, StoreDir, StoreError,
 };
@@ -272,8 +272,15 @@ impl Recorder {
     }
 
     /// Serves messages until all senders are gone.
-    pub(crate) fn serve(mut self, messages: &Receiver<Message>) -> Self {
+    pub(crate) fn serve(mut self, messages: &Receiver<Message>, lane: &Lane) -> Self {
         for message in messages {
+            let _span = match message {
+                Message::Products(_) => lane.span("store and park", 0u32),
+                Message::Read { .. } => lane.io("read back", 0u32),
+                Message::Commit { .. } => lane.io("commit", 0u32),
+                Message::Poll { .. } => lane.io("look at others", 0u32),
+                Message::Take { .. } | Message::Visited { .. } => lane.span("visit", 0u32),
+            };
             // A reply that nobody waits for means that the main thread is gone already: nothing to do.
             match message {
                 Message::Products(products) => {
