@@ -172,19 +172,20 @@ fn a_spot_light() {
     compare("spot", &out, lumens, lux);
 }
 
-/// CIE 171:2006, 5.2: a file of a Lambertian source is the Lambertian point light.
+/// CIE 171:2006, 5.2: a file of a Lambertian source is the Lambertian point light. Both are mounted in the very plane of the
+/// ceiling, and shine from below it.
 #[test]
 fn a_lambertian_luminaire() {
     let dir = tempfile::tempdir().unwrap();
     ies(&dir.path().join("lambert.ies"), &every(1.0, 90.0), &[0.0], |v, _| {
         1000.0 * v.to_radians().cos()
     });
-    let place = "position = [0, 0, 2.801]\n";
+    let place = "position = [0, 0, 3]\n";
     let scene =
         room(dir.path(), &format!("[[light]]\nkind = \"ies\"\nfile = \"lambert.ies\"\n{place}"));
     let out = dir.path().join("out");
     run(&scene, &out);
-    compare("lambert", &out, 1000.0 * PI, floor([0.0, 0.0, 2.801], |to| -1000.0 * to[2]));
+    compare("lambert", &out, 1000.0 * PI, floor([0.0, 0.0, 3.0], |to| -1000.0 * to[2]));
     // The same with a point light that is Lambertian by formula: the same pixels, to what chords of the cosine differ.
     std::fs::create_dir(dir.path().join("b")).unwrap();
     let scene = room(
