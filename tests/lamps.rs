@@ -172,19 +172,20 @@ fn a_spot_light() {
     compare("spot", &out, lumens, lux);
 }
 
-/// CIE 171:2006, 5.2: a file of a Lambertian source is the Lambertian point light.
+/// CIE 171:2006, 5.2: a file of a Lambertian source is the Lambertian point light. Both are mounted in the very plane of the
+/// ceiling, and shine from below it.
 #[test]
 fn a_lambertian_luminaire() {
     let dir = tempfile::tempdir().unwrap();
     ies(&dir.path().join("lambert.ies"), &every(1.0, 90.0), &[0.0], |v, _| {
         1000.0 * v.to_radians().cos()
     });
-    let place = "position = [0, 0, 2.801]\n";
+    let place = "position = [0, 0, 3]\n";
     let scene =
         room(dir.path(), &format!("[[light]]\nkind = \"ies\"\nfile = \"lambert.ies\"\n{place}"));
     let out = dir.path().join("out");
     run(&scene, &out);
-    compare("lambert", &out, 1000.0 * PI, floor([0.0, 0.0, 2.801], |to| -1000.0 * to[2]));
+    compare("lambert", &out, 1000.0 * PI, floor([0.0, 0.0, 3.0], |to| -1000.0 * to[2]));
     // The same with a point light that is Lambertian by formula: the same pixels, to what chords of the cosine differ.
     std::fs::create_dir(dir.path().join("b")).unwrap();
     let scene = room(
@@ -251,7 +252,7 @@ fn a_luminaire_with_planes() {
     assert!((number(light, "lumens") / lumens - 1.0).abs() < 1e-5);
 }
 
-/// Photons shared by power: the sum is exact, each carries the same flux, and nothing depends on rooms or threads.
+/// Photons shared by power, more of them than one visit traces: the sum is exact, each carries the same flux, and nothing depends on rooms or threads.
 #[test]
 fn photons_by_power() {
     let dir = tempfile::tempdir().unwrap();
@@ -271,14 +272,14 @@ fn photons_by_power() {
         ok(bin("enf-trace").arg(store).arg("--quiet").args(more).arg("--stats").arg(&report));
         json(&report)
     };
-    let stats = trace(&store, &[], &["--photons", "50k"]);
-    assert_eq!(number(&stats, "photons_emitted"), 50_000.0);
-    assert_eq!(number(&stats, "photons_absorbed") + number(&stats, "photons_escaped"), 50_000.0);
+    let stats = trace(&store, &[], &["--photons", "1200k"]);
+    assert_eq!(number(&stats, "photons_emitted"), 1_200_000.0);
+    assert_eq!(number(&stats, "photons_absorbed") + number(&stats, "photons_escaped"), 1_200_000.0);
     assert!((number(&stats, "flux_emitted_w") * 179.0 - 1000.0).abs() < 0.01);
-    let each = 1000.0 / 50_000.0;
+    let each = 1000.0 / 1_200_000.0;
     let all = photons(&store);
     let direct: Vec<_> = all.iter().filter(|p| p.flags & PHOTON_DIRECT != 0).collect();
-    assert_eq!(direct.len(), 50_000);
+    assert_eq!(direct.len(), 1_200_000);
     for photon in direct {
         let lumens = 179.0 * luminance(photon);
         assert!((lumens / each - 1.0).abs() < 0.01, "{lumens} lm for {each}");
@@ -288,15 +289,15 @@ fn photons_by_power() {
     for (i, partition) in cut.iter().enumerate() {
         let other = dir.path().join(format!("{i}.enf"));
         let more =
-            ["--photons", "50000", "--threads", "1", "--queue-rows", "2", "--queue-block", "100"];
+            ["--photons", "1200000", "--threads", "1", "--queue-rows", "2", "--queue-block", "100"];
         trace(&other, partition, &more);
         assert_eq!(digest(&other, "photons"), expected, "{partition:?}");
     }
     // The same again is done; other numbers are another run.
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons", "50k"]));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons", "1200k"]));
     let said = fails(bin("enf-trace").arg(&store).args(["--photons", "40k"]), 2);
     assert!(
-        said.contains("photons: 50000 there, 40000 here") && said.contains("--force"),
+        said.contains("photons: 1200000 there, 40000 here") && said.contains("--force"),
         "{said}"
     );
     let said = fails(bin("enf-trace").arg(&store).args(["--photons-per-light", "50k"]), 2);

@@ -3,10 +3,10 @@
 use crate::{
     InputFile, SceneError,
     file::{LUMENS_PER_WATT, luminance},
-    photometry::{self, Photometry},
+    photometry::{self, PhotometricType, Photometry},
 };
 use enf_layout::{
-    light::{LIGHT_PROFILE, LIGHT_SPOT, LightRecord, cone_steradians},
+    light::{LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT, LightRecord, cone_steradians},
     profile::ProfileRecord,
 };
 use glam::DVec3;
@@ -41,6 +41,8 @@ pub(crate) struct Luminaires {
     pub(crate) profiles: Profiles,
     pub(crate) inputs: Vec<InputFile>,
     pub(crate) warnings: Vec<String>,
+    /// How the angles of each profile are counted.
+    kinds: Vec<PhotometricType>,
     /// By where the file is.
     known: BTreeMap<PathBuf, Luminaire>,
 }
@@ -76,6 +78,7 @@ impl Luminaires {
                 };
                 let profile = self.profiles.records.len() as u32;
                 self.profiles.records.push(record);
+                self.kinds.push(photometry.kind);
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
                 self.profiles.names.push(name.into_owned());
                 self.inputs.push(input);
@@ -84,6 +87,25 @@ impl Luminaires {
                 photometry.candela = Vec::new();
                 Ok(new.insert(Luminaire { photometry, profile, lumens }))
             }
+        }
+    }
+}
+
+impl Luminaires {
+    /// Moves a lamp that points somewhere a quarter of `delta` that way, as photons of area lights are: one that is
+    /// mounted *in* a ceiling's plane shines from below it.
+    pub(crate) fn step_out(&self, light: &mut LightRecord, delta: f32) {
+        let ahead = match light.kind {
+            LIGHT_SPOT | LIGHT_POINT_LAMBERT => light.axis,
+            LIGHT_PROFILE => match self.kinds.get(light.profile as usize) {
+                // What goes straight ahead lies on the equator of these.
+                Some(PhotometricType::A | PhotometricType::B) => light.tangent,
+                _ => light.axis,
+            },
+            _ => return,
+        };
+        for (p, a) in light.position.iter_mut().zip(ahead) {
+            *p += 0.25 * delta * a;
         }
     }
 }

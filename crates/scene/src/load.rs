@@ -743,6 +743,10 @@ impl Loader {
                 hi[c] = hi[c].max(p.position[c]);
             }
         }
+        let delta = tolerance(lo, hi);
+        for (_, light) in &mut points {
+            luminaires.step_out(light, delta);
+        }
         let diagonal = distance(lo, hi);
         check_size(diagonal, path)?;
         if !(0.1..=SUSPICIOUS).contains(&diagonal) {
@@ -761,7 +765,7 @@ impl Loader {
             sky,
             origin: frame.origin,
             bounds: (lo, hi),
-            delta: tolerance(lo, hi),
+            delta,
             warnings,
             inputs: self.inputs,
             geometry,

@@ -313,11 +313,10 @@ impl<'a> Numbers<'a> {
         self.check_horizontal(kind, &horizontal)?;
         let scale = multiplier * ballast_factor * lamp_factor;
         let mut candela = Vec::with_capacity((rows * columns).min(self.lines.rest.len()));
-        for plane in 0..columns {
-            for row in 0..rows {
+        for h in &horizontal {
+            for v in &vertical {
                 let value = self.number("an intensity")?;
                 if value < 0.0 {
-                    let (v, h) = (vertical[row], horizontal[plane]);
                     return Err(self.error(
                         format!("the intensity {value} at vertical {v}, horizontal {h}"),
                         "intensities cannot be below zero",

@@ -405,6 +405,9 @@ fn luminaires_of_a_scene_file() {
     assert!((lumens(&r[3]) - 3.0 * 179.0).abs() < 1e-3);
     // Tilted by 45 degrees: a factor of 0.75.
     assert!((lumens(&r[4]) / (40.0 * PI) - 0.75).abs() < 1e-6);
+    // A quarter of the tolerance ahead, so that nobody shines from within a ceiling.
+    assert_eq!(r[0].position, [1., 1., 3. - 0.25 * scene.delta]);
+    assert_eq!(r[2].position, [2. + 0.25 * scene.delta, 1., 3.]);
     // Down with C0 along x; turned, along y; tilted towards x, C0 goes up.
     assert!(near(r[0].axis, [0., 0., -1.]) && near(r[0].tangent, [1., 0., 0.]));
     assert!(near(r[1].axis, [0., 0., -1.]) && near(r[1].tangent, [0., 1., 0.]));

@@ -60,6 +60,20 @@ impl Counts {
         self.by_light.get(light as usize).map_or(self.each, |&n| u64::from(n))
     }
 
+    /// Where start number `cursor` is when lights take turns, each with its photons and `more` starts: which of them,
+    /// and which of its starts. Behind the last: their number, and 0.
+    pub fn place(&self, lights: &[u32], more: u64, cursor: u64) -> (usize, u64) {
+        let mut first = cursor;
+        for (at, &light) in lights.iter().enumerate() {
+            let length = self.of(light) + more;
+            if first < length {
+                return (at, first);
+            }
+            first -= length;
+        }
+        (lights.len(), 0)
+    }
+
     /// Photons that so many lights emit, all of them.
     pub fn total(&self, lights: usize) -> u64 {
         match &self.by_light[..] {
@@ -151,6 +165,26 @@ mod tests {
         assert_eq!(shared(100, &[1e-9, 0.0, 3.0, 1e-12, 1.0]), [1, 0, 74, 1, 24]);
         assert_eq!(shared(3, &[1.0, 1e6, 1.0]), [1, 1, 1]);
         assert_eq!(shared(0, &[]), [0; 0]);
+    }
+
+    #[test]
+    fn starts_are_counted_light_by_light() {
+        let shares = Shares { each: 0, by_light: vec![5, 0, 3, 1] };
+        let mut seen = Vec::new();
+        for cursor in 0..100 {
+            let (at, first) = shares.place(&[0, 1, 3], 2, cursor);
+            if at == 3 {
+                assert_eq!((first, cursor), (0, 12));
+                break;
+            }
+            seen.push((at, first));
+        }
+        let expected: Vec<_> =
+            [7, 2, 3].iter().enumerate().flat_map(|(i, &n)| (0..n).map(move |k| (i, k))).collect();
+        assert_eq!(seen, expected);
+        let each = Shares { each: 4, by_light: Vec::new() };
+        assert_eq!(each.place(&[9, 8], 1, 7), (1, 2));
+        assert_eq!(each.place(&[], 1, 0), (0, 0));
     }
 
     #[test]

@@ -443,20 +443,6 @@ impl Driver<'_> {
         self.context.counts.of(light) + PROBES_PER_LIGHT
     }
 
-    /// Where the start number `cursor` of a tile is: which of its lights, and which start of that.
-    fn place(&self, tile: u32, cursor: u64) -> (usize, u64) {
-        let lights = self.context.tables.lights_of(tile);
-        let mut first = cursor;
-        for (at, &light) in lights.iter().enumerate() {
-            let length = self.starts_of(light);
-            if first < length {
-                return (at, first);
-            }
-            first -= length;
-        }
-        (lights.len(), 0)
-    }
-
     fn ask<T>(&self, message: impl FnOnce(Sender<T>) -> Message) -> Result<T> {
         let (reply, answer) = bounded(1);
         self.messages
@@ -609,7 +595,7 @@ impl Driver<'_> {
         let starts = self.starts(tile);
         let mut cursor = self.cursors.get(&tile).copied().unwrap_or(0);
         let lights = self.context.tables.lights_of(tile);
-        let (mut at, mut first) = self.place(tile, cursor);
+        let (mut at, mut first) = self.context.shares.place(lights, PROBES_PER_LIGHT, cursor);
         while outcome.is_ok() && at < lights.len() && handed < VISIT_PHOTONS {
             let light = lights[at];
             let count = JOB_PHOTONS.min(self.starts_of(light) - first);
