@@ -116,8 +116,7 @@ fn refraction(altitude: f64) -> f64 {
     seconds / 3600.0
 }
 
-/// Unit vector to the sun in a scene whose y axis points `north` degrees *anticlockwise* of true north, that is, in
-/// which true north is `north` degrees clockwise from +y, seen from above.
+/// Unit vector to the sun in a scene in which true north is `north` degrees clockwise from +y, seen from above.
 pub fn direction(position: &Position, north: f64) -> DVec3 {
     let (sin, cos) = libm::sincos((position.azimuth + north).to_radians());
     let (up, level) = libm::sincos(position.altitude.to_radians());

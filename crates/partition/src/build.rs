@@ -349,7 +349,9 @@ impl Starts {
         for (id, light) in world.lights.iter().enumerate().filter(|(_, l)| l.kind != LIGHT_AREA) {
             if Daylight::is_daylight(light) {
                 let id = id as u32;
-                openings::tiles(light, &tables.tiles, scene.bounds, |tile| points.push((tile, id)));
+                let first = light.first_emitter as usize;
+                let own = &world.emitters[first..first + light.emitter_count as usize];
+                openings::tiles(own, &tables.tiles, scene.bounds, |tile| points.push((tile, id)));
                 continue;
             }
             let at = Vec3::from(light.position).as_dvec3();

@@ -137,7 +137,8 @@ fn add(world: &mut World, opening: &Opening, sky: &Sky, grid: &Grid, name: &str)
         last.cumulative = 1.0;
     }
     let mut light = |kind, flux: DVec3, what: &str| {
-        if flux.max_element() <= 0.0 {
+        // An opening without sky of its own may still see what the outside reflects.
+        if kind == LIGHT_SUN && flux.max_element() <= 0.0 {
             return;
         }
         world.lights.push(LightRecord {
@@ -158,9 +159,9 @@ fn add(world: &mut World, opening: &Opening, sky: &Sky, grid: &Grid, name: &str)
 }
 
 /// Tiles in which photons of a daylight light may start, and probes: those that reach out of the scene's bounds, and those
-/// that touch the light's own opening.
+/// that touch the light's own opening, which its emitters make up.
 pub(crate) fn tiles(
-    light: &LightRecord,
+    emitters: &[EmitterRecord],
     tiles: &[TileRecord],
     bounds: ([f32; 3], [f32; 3]),
     mut found: impl FnMut(u32),
@@ -169,13 +170,14 @@ pub(crate) fn tiles(
     // Photons start three quarters of the margin outside, tiles at the bound end with it.
     let margin = Shell::new(low.to_array(), high.to_array());
     let (low, high) = ((low + 2.0 * margin.min) / 3.0, (high + 2.0 * margin.max) / 3.0);
-    let (centre, reach) = (Vec3::from(light.position), light.radius + 0.01);
+    let (mut near, mut far) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for corner in emitters.iter().flat_map(|e| e.corners).map(Vec3::from) {
+        (near, far) = (near.min(corner - 0.01), far.max(corner + 0.01));
+    }
     for (id, tile) in tiles.iter().enumerate() {
         let (min, max) = (Vec3::from(tile.min), Vec3::from(tile.max));
         let out = min.as_dvec3().cmplt(low).any() || max.as_dvec3().cmpgt(high).any();
-        let near = light.emitter_count > 0
-            && (centre - centre.clamp(min, max)).length_squared() <= reach * reach;
-        if out || near {
+        if out || (near.cmple(max).all() && far.cmpge(min).all()) {
             found(id as u32);
         }
     }
@@ -227,9 +229,14 @@ mod tests {
             tile([0.0; 3], [2.0; 3]),
             tile([0.0, 0.0, -0.01], [2.0; 3]),
         ];
-        let light = LightRecord { position: [3.0; 3], emitter_count: 1, ..LightRecord::DARK };
+        let emitter = EmitterRecord {
+            corners: [[3.0; 3], [3.0, 3.5, 3.0], [3.0, 3.0, 3.5]],
+            triangle: NONE,
+            cumulative: 1.0,
+            reserved: 0,
+        };
         let mut found = Vec::new();
-        tiles(&light, &all, ([0.0; 3], [4.0; 3]), |t| found.push(t));
+        tiles(&[emitter], &all, ([0.0; 3], [4.0; 3]), |t| found.push(t));
         assert_eq!(found, [0, 1]);
     }
 }

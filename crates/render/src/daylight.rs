@@ -8,7 +8,6 @@
 use enf_layout::NONE;
 use enf_layout::light::{EmitterRecord, LIGHT_SUN, LightRecord};
 use enf_stage::tables::Tables;
-use enf_transport::emission;
 use enf_transport::flight::Surface;
 use enf_transport::sky::Daylight;
 use glam::Vec3;
@@ -129,19 +128,13 @@ pub(crate) fn sample(
         if outdoors {
             return None;
         }
-        let point = emission::point_on(light, emitters, v);
-        let to = point.position - surface.origin;
-        let square = to.length_squared();
-        let distance = square.sqrt();
-        let direction = (to / distance).normalize_or_zero();
-        let (cos, cos_opening) = (direction.dot(surface.normal), -direction.dot(point.normal));
-        if !(cos > 0.0 && cos_opening > 0.0 && distance > 0.0 && distance.is_finite())
-            || daylight.leaves_before(surface.origin, direction, distance)
-        {
+        let (direction, distance, density) =
+            daylight.sample_opening(light, emitters, surface.origin, v)?;
+        let cos = direction.dot(surface.normal);
+        if cos <= 0.0 || daylight.leaves_before(surface.origin, direction, distance) {
             return None;
         }
-        let solid = light.area_m2 * cos_opening / square;
-        return far(direction, daylight.radiance(direction) * (cos * solid));
+        return far(direction, daylight.radiance(direction) * (cos / density));
     }
     if light.kind == LIGHT_SUN {
         return self::sun(daylight, surface, [v[0], v[1]]);

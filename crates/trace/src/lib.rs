@@ -33,7 +33,7 @@ use enf_store::{
     StoreError,
 };
 use enf_transport::photon::Group;
-use enf_transport::sky::{Daylight, Shell};
+use enf_transport::sky::{Daylight, MOST_AIMED, Shell};
 
 pub use counts::{Counts, PhotonCount};
 pub use recorder::Totals;
@@ -291,6 +291,9 @@ fn trace(
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
     let (daylight, _daylight) = daylight(tables, &budget)?;
+    let aimed = if daylight.is_some() { Group::SIZE * MOST_AIMED } else { 0 };
+    let aimed = aimed * size_of::<TransitRecord>() * common.threads;
+    let _aimed = budget.reserve(aimed as u64, "photons aimed at openings")?;
     let resumed = writer.resumed();
     let recorder = Recorder::new(
         writer,

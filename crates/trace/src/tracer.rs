@@ -240,7 +240,11 @@ impl Sink for Aiming<'_, '_> {
         if room != context.tables.scene.outside
             || record.flags & TRANSIT_AIMED != 0
             || reflected == Vec3::ZERO
-            || !Daylight::is_everywhere(&context.tables.lights()[record.light as usize])
+            || !context
+                .tables
+                .lights()
+                .get(record.light as usize)
+                .is_some_and(Daylight::is_everywhere)
         {
             return taken;
         }

@@ -13,4 +13,5 @@ pub mod photon;
 pub mod rng;
 pub mod scatter;
 pub mod sky;
+pub mod spherical;
 pub mod vector;

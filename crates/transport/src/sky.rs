@@ -31,7 +31,7 @@ use glam::{DVec3, Vec3};
 use crate::emission::{self, Start};
 use crate::flight::Surface;
 use crate::rng::{self, Purpose};
-use crate::vector;
+use crate::{spherical, vector};
 
 /// Rings of a [`Table`], from the nadir to the zenith.
 const ROWS: usize = 48;
@@ -45,6 +45,10 @@ const STEPS: u32 = 1 << 24;
 const CELL_SINE: f64 = 0.3;
 /// Axes that agree to this share a table.
 const SAME_AXIS: f64 = 0.9999;
+/// Openings of more triangles are drawn by area.
+const MOST_SPHERICAL: usize = 16;
+/// Openings that are seen under a smaller solid angle are drawn by area, sr.
+const LEAST_SPHERICAL: f64 = 1e-3;
 /// Openings that are tried for a photon that is aimed.
 const CANDIDATES: usize = 8;
 /// Most photons that one is split into.
@@ -574,7 +578,8 @@ impl Daylight {
         } else {
             let (towards, density) = self.tables[table].sample([v[0], v[1], v[2]]);
             let cos = outwards.dot(towards).max(0.0);
-            (towards, self.sky.radiance(towards) * (area * cos / density))
+            let weight = if density > 0.0 { area * cos / density } else { 0.0 };
+            (towards, self.sky.radiance(towards) * weight)
         };
         let aimed = !emitters.is_empty();
         let reach = if aimed { self.shell.exit(point, towards) } else { 0.0 };
@@ -696,6 +701,55 @@ impl Daylight {
     pub fn leaves_before(&self, origin: Vec3, direction: Vec3, reach: f32) -> bool {
         let reach = f64::from(reach) - self.tolerance;
         self.openings.passed(origin.as_dvec3(), direction.as_dvec3(), reach, false, true).is_some()
+    }
+
+    /// A direction from a point through an opening, how far it is to the opening (m), and the density of the direction (1/sr), from
+    /// three uniform numbers. `None` from behind. Openings of few triangles are drawn by solid angle, so that a point right beside a large window
+    /// sees it without noise; others by area.
+    pub fn sample_opening(
+        &self,
+        light: &LightRecord,
+        emitters: &[EmitterRecord],
+        from: Vec3,
+        u: [f32; 3],
+    ) -> Option<(Vec3, f32, f32)> {
+        let origin = from.as_dvec3();
+        let corners = |e: &EmitterRecord| e.corners.map(|c| Vec3::from(c).as_dvec3());
+        let facing = |[a, b, c]: [DVec3; 3]| (b - a).cross(c - a).dot(origin - a);
+        if emitters.len() <= MOST_SPHERICAL {
+            let mut seen = [(0.0, spherical::Triangle::default()); MOST_SPHERICAL];
+            let mut total = 0.0;
+            for (emitter, seen) in emitters.iter().zip(&mut seen) {
+                let triangle = corners(emitter);
+                if facing(triangle) > 0.0 {
+                    *seen = (total, spherical::Triangle::new(triangle.map(|c| c - origin)));
+                    total += seen.1.solid_angle();
+                }
+            }
+            // A sliver is left to its area: the angles of very small triangles are rounding.
+            if total > LEAST_SPHERICAL {
+                let place = f64::from(u[0]) * total;
+                let lit = |s: &(usize, &(f64, spherical::Triangle))| {
+                    s.1.1.solid_angle() > 0.0 && s.1.0 <= place
+                };
+                let (index, (_, triangle)) = seen.iter().enumerate().rfind(lit)?;
+                let direction = triangle.sample(f64::from(u[1]), f64::from(u[2]));
+                let [a, b, c] = corners(emitters.get(index)?);
+                let normal = (b - a).cross(c - a);
+                let distance = normal.dot(a - origin) / normal.dot(direction);
+                return (distance > 0.0 && distance.is_finite())
+                    .then(|| (direction.as_vec3(), distance as f32, (1.0 / total) as f32));
+            }
+        }
+        let point = emission::point_on(light, emitters, u);
+        let to = point.position.as_dvec3() - origin;
+        let square = to.length_squared();
+        let distance = square.sqrt();
+        let direction = to / distance;
+        let cos = -direction.dot(point.normal.as_dvec3());
+        let density = square / (cos * f64::from(light.area_m2));
+        (cos > 0.0 && density.is_finite() && density > 0.0)
+            .then(|| (direction.as_vec3(), distance as f32, density as f32))
     }
 
     /// What a ray that leaves the scene sees, the sun's disc included, W/m2/sr.
