@@ -169,10 +169,10 @@ mod tests {
 
     #[test]
     fn starts_are_counted_light_by_light() {
-        let shares = Shares { each: 0, by_light: vec![5, 0, 3, 1] };
+        let counts = Counts { each: 0, by_light: vec![5, 0, 3, 1] };
         let mut seen = Vec::new();
         for cursor in 0..100 {
-            let (at, first) = shares.place(&[0, 1, 3], 2, cursor);
+            let (at, first) = counts.place(&[0, 1, 3], 2, cursor);
             if at == 3 {
                 assert_eq!((first, cursor), (0, 12));
                 break;
@@ -182,7 +182,7 @@ mod tests {
         let expected: Vec<_> =
             [7, 2, 3].iter().enumerate().flat_map(|(i, &n)| (0..n).map(move |k| (i, k))).collect();
         assert_eq!(seen, expected);
-        let each = Shares { each: 4, by_light: Vec::new() };
+        let each = Counts { each: 4, by_light: Vec::new() };
         assert_eq!(each.place(&[9, 8], 1, 7), (1, 2));
         assert_eq!(each.place(&[], 1, 0), (0, 0));
     }

@@ -598,7 +598,7 @@ impl Driver<'_> {
         let starts = self.starts(tile);
         let mut cursor = self.cursors.get(&tile).copied().unwrap_or(0);
         let lights = self.context.tables.lights_of(tile);
-        let (mut at, mut first) = self.context.shares.place(lights, PROBES_PER_LIGHT, cursor);
+        let (mut at, mut first) = self.context.counts.place(lights, PROBES_PER_LIGHT, cursor);
         while outcome.is_ok() && at < lights.len() && handed < VISIT_PHOTONS {
             let light = lights[at];
             let count = JOB_PHOTONS.min(self.starts_of(light) - first);
