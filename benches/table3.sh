@@ -4,15 +4,15 @@
 #   benches/table3.sh [FOLDER] [BUILDING...]      a building is one of those below; all but the towers by default
 #
 # Everything goes to FOLDER (default ./table3), which keeps the statistics of each stage and loses each store when its row is
-# printed (KEEP=1 keeps them). MEMORY (380M) and THREADS are handed on. Z-Building_101 takes 20 GB of disk, Tower_024 another 20.
+# printed (KEEP=1 keeps them). MEMORY (380M) and THREADS are handed on; BIN is a folder of binaries that are built already. Z-Building_101 takes 20 GB of disk, Tower_024 another 20.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=${1:-table3}
 shift || true
 buildings=("$@")
 [ ${#buildings[@]} -gt 0 ] || buildings=(L-Shape Z-Building Octagon Z-Building_021 Z-Building_101)
-cargo build --release --quiet
-bin=$PWD/target/release
+bin=${BIN:-$PWD/target/release}
+[ -n "${BIN:-}" ] || cargo build --release --quiet
 mkdir -p "$folder"
 cd "$folder"
 flags=(--memory "${MEMORY:-380M}" ${THREADS:+--threads "$THREADS"})

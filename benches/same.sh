@@ -1,0 +1,78 @@
+#!/usr/bin/env bash
+# The same photons, whatever happens: the L-Shape (337,262 triangles, 24 lights) traced with other threads, budgets, rooms, tiles,
+# queues and processes, and in runs that are killed at random moments and begun again.
+#
+#   benches/same.sh [KILLED RUNS, 100] [PHOTONS A LIGHT, 5k]
+#
+# Prints each digest and exits with 1 at the first that differs. BIN is a folder of binaries that are built already. SEED (1) decides
+# when runs are killed.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+runs=${1:-100}
+photons=${2:-5k}
+bin=${BIN:-$PWD/target/release}
+[ -n "${BIN:-}" ] || cargo build --release --quiet
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+cd "$folder"
+"$bin/enfilade" building l-shape -o l.toml >/dev/null 2>&1
+RANDOM=${SEED:-1}
+
+prepared() { # flags of the partitioner
+    rm -rf l.enf
+    "$bin/enf-partition" l.toml -o l.enf --quiet "$@" >/dev/null
+    "$bin/enf-grid" l.enf --quiet </dev/null >/dev/null
+}
+trace() {
+    "$bin/enf-trace" "${store:-l.enf}" --photons-per-light "$photons" --quiet "$@" </dev/null >/dev/null
+}
+expected=
+check() { # what was done
+    local digest
+    digest=$("$bin/enfilade" inspect "${store:-l.enf}" --digest photons)
+    [ -n "$expected" ] || expected=$digest
+    printf '%s  %s\n' "$digest" "$1"
+    [ "$digest" = "$expected" ] || { echo "$0: that is another one" >&2 && exit 1; }
+}
+
+prepared
+for threads in 1 2 4; do
+    trace --threads $threads --force && check "$threads threads"
+done
+for memory in 64M 128M 380M 1G 4G; do
+    prepared --memory $memory
+    trace --memory $memory && check "--memory $memory"
+done
+for rooms in 1 8 64 200 500; do
+    prepared --rooms $rooms
+    trace && check "--rooms $rooms"
+done
+prepared --random-tiles 60
+trace --queue-rows 4 --queue-block 64 --resident-rooms 1 --schedule most-work && check "60 random tiles, small queues, one tile at a time"
+for share in 0/2 1/2; do
+    trace --share $share --threads 1 --force &
+    [ $share = 1/2 ] || sleep 0.3
+done
+wait
+check "60 random tiles, two processes"
+
+prepared
+cp -r l.enf clean.enf
+store=killed.enf
+kills=0
+for ((run = 1; run <= runs; run++)); do
+    rm -rf killed.enf
+    cp -r clean.enf killed.enf
+    times=0
+    while :; do
+        "$bin/enf-trace" killed.enf --photons-per-light "$photons" --queue-block 1k --epoch 0.05 --quiet </dev/null >/dev/null 2>&1 &
+        process=$!
+        sleep "0.$((RANDOM % 90 + 10))"
+        kill -9 $process 2>/dev/null || true
+        wait $process 2>/dev/null && break
+        times=$((times + 1))
+    done
+    kills=$((kills + times))
+    check "run $run, killed $times times"
+done
+echo "one digest; $runs runs were killed $kills times"
