@@ -7,7 +7,7 @@
 use core::f64::consts::{FRAC_1_PI, PI, TAU};
 
 use enf_layout::light::{LightRecord, cone_steradians};
-use enf_layout::profile::{self, Profile};
+use enf_layout::profile::Profile;
 use glam::{DVec3, Vec3};
 
 /// Radiant intensity of a spot light of 1 W towards `to`, W/sr.
@@ -96,26 +96,31 @@ fn draw(profile: &Profile<'_>, u: [f64; 4]) -> (f64, f64) {
 /// The polar angle between `t0` and `t1` below which the share `u` of the band lies, where the integral over the
 /// azimuth goes straight from `f0` to `f1`.
 fn in_band(f0: f64, f1: f64, t0: f64, t1: f64, u: f64) -> f64 {
-    let width = t1 - t0;
-    let target = u * profile::band(f0, f1, t0, t1);
+    let (width, rise) = (t1 - t0, (f1 - f0) / (t1 - t0));
+    let (s0, c0) = libm::sincos(t0);
+    let (s1, c1) = libm::sincos(t1);
+    // As profile::band, with what is the same on every step looked up once.
+    let within = |f: f64, s: f64, c: f64| f0 * c0 - f * c + rise * (s - s0);
+    let target = u * within(f1, s1, c1).max(0.0);
     // As if the sine were straight as well: a good first guess for Newton's method, which a bracket guards.
-    let (d0, d1) = (f0 * libm::sin(t0), f1 * libm::sin(t1));
+    let (d0, d1) = (f0 * s0, f1 * s1);
     let mut t = t0 + on_line(d0, d1, width, u * 0.5 * (d0 + d1) * width);
     let (mut low, mut high) = (t0, t1);
     for _ in 0..60 {
-        let f = f0 + (f1 - f0) * ((t - t0) / width);
-        let excess = if t > t0 { profile::band(f0, f, t0, t) } else { 0.0 } - target;
+        let (s, c) = libm::sincos(t);
+        let f = f0 + rise * (t - t0);
+        let excess = within(f, s, c) - target;
         if excess > 0.0 {
             high = t
         } else {
             low = t
         }
-        let slope = f * libm::sin(t);
-        let newton = t - excess / slope;
-        let next = if newton > low && newton < high { newton } else { 0.5 * (low + high) };
+        let newton = t - excess / (f * s);
+        let next = if newton >= low && newton <= high { newton } else { 0.5 * (low + high) };
         let step = (next - t).abs();
         t = next;
-        if step <= 1e-12 * width {
+        // The next step would be the square of this one.
+        if step <= 1e-10 * width {
             break;
         }
     }
@@ -178,7 +183,7 @@ mod tests {
     use super::*;
     use crate::rng::{self, Purpose};
     use enf_layout::light::{LIGHT_PROFILE, LIGHT_SPOT};
-    use enf_layout::profile::{ProfileRecord, Samples};
+    use enf_layout::profile::{self, ProfileRecord, Samples};
 
     const DRAWS: u32 = 400_000;
 
