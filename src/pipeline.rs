@@ -138,6 +138,7 @@ fn everything(scene: &Path, output: &Path, args: &StageArgs) -> Result<()> {
         &enf_trace::Cli {
             store: store.clone(),
             trace: args.trace.clone(),
+            share: enf_trace::Share::default(),
             all_rooms,
             force: args.force,
             common: quiet_stage.clone(),

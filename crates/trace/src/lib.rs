@@ -103,10 +103,6 @@ pub struct TraceArgs {
     /// Seconds between commits: a kill loses at most this much work (never changes a result)
     #[arg(long, value_name = "SECONDS", default_value = "10", value_parser = parse_epoch)]
     pub epoch: Duration,
-    /// This is process I, from 0, of N that trace the store together, on one machine or on several that share the file system; start all N
-    /// (never changes a result)
-    #[arg(long, value_name = "I/N", default_value = "0/1")]
-    pub share: Share,
     /// Flags of the queue.
     #[command(flatten)]
     pub queue: QueueArgs,
@@ -143,6 +139,10 @@ pub struct Cli {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub trace: TraceArgs,
+    /// This is process I, from 0, of N that trace the store together, on one machine or on several that share the file system; start all N
+    /// (never changes a result)
+    #[arg(long, value_name = "I/N", default_value = "0/1")]
+    pub share: Share,
     /// Do not read ids from standard input: all rooms
     #[arg(long)]
     pub all_rooms: bool,
@@ -191,7 +191,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
         PhotonCount::Total(total) => identity.push("photons", total),
     };
     let rooms = tables.rooms().len() as u32;
-    let share = cli.trace.share;
+    let share = cli.share;
     // Refused before anything is begun.
     let plan = || Queues::reserve(cli, &session.budget, &tables, &grid);
     let queues =
@@ -285,7 +285,7 @@ fn trace(
     shapes: &Queues,
     counts: &Arc<Counts>,
 ) -> Result<Totals> {
-    let share = cli.trace.share;
+    let share = cli.share;
     let (common, queue) = (&cli.common, &cli.trace.queue);
     let budget = session.budget.clone();
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
