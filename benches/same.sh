@@ -49,9 +49,9 @@ for rooms in 1 8 64 200 500; do
 done
 prepared --random-tiles 60
 trace --queue-rows 4 --queue-block 64 --resident-rooms 1 --schedule most-work && check "60 random tiles, small queues, one tile at a time"
+prepared --random-tiles 60
 for share in 0/2 1/2; do
-    trace --share $share --threads 1 --force &
-    [ $share = 1/2 ] || sleep 0.3
+    trace --share $share --threads 1 &
 done
 wait
 check "60 random tiles, two processes"
