@@ -63,9 +63,9 @@ impl Moment {
 
 /// Right ascension and declination of the apparent sun, degrees, at a Julian day (Meeus, chapter 25).
 pub fn equatorial(julian_day: f64) -> (f64, f64) {
-    let t = (julian_day - 2_451_545.0) / 36_525.0;
-    let mean_longitude = 280.46646 + t * (36_000.76983 + t * 0.0003032);
-    let anomaly = (357.52911 + t * (35_999.05029 - t * 0.0001537)).to_radians();
+    let t = (julian_day - 2451545.0) / 36525.0;
+    let mean_longitude = 280.46646 + t * (36000.76983 + t * 0.0003032);
+    let anomaly = (357.52911 + t * (35999.05029 - t * 0.0001537)).to_radians();
     let centre = (1.914602 - t * (0.004817 + t * 0.000014)) * libm::sin(anomaly)
         + (0.019993 - t * 0.000101) * libm::sin(2.0 * anomaly)
         + 0.000289 * libm::sin(3.0 * anomaly);
@@ -84,9 +84,9 @@ pub fn equatorial(julian_day: f64) -> (f64, f64) {
 pub fn position(moment: &Moment, latitude: f64, longitude: f64) -> Position {
     let day = moment.julian_day();
     let (ascension, declination) = equatorial(day);
-    let t = (day - 2_451_545.0) / 36_525.0;
+    let t = (day - 2451545.0) / 36525.0;
     // Sidereal time at Greenwich (Meeus, chapter 12).
-    let sidereal = 280.46061837 + 360.98564736629 * (day - 2_451_545.0) + t * t * 0.000387933;
+    let sidereal = 280.46061837 + 360.98564736629 * (day - 2451545.0) + t * t * 0.000387933;
     let hour = (sidereal + longitude - ascension).rem_euclid(360.0).to_radians();
     let (sin_h, cos_h) = libm::sincos(hour);
     let (sin_l, cos_l) = libm::sincos(latitude.to_radians());
@@ -131,7 +131,7 @@ mod tests {
     #[test]
     fn meeus_example() {
         let moment = Moment { year: 1992, month: 10, day: 13, hours: 0.0, timezone: 0.0 };
-        assert_eq!(moment.julian_day(), 2_448_908.5);
+        assert_eq!(moment.julian_day(), 2448908.5);
         let (ascension, declination) = equatorial(moment.julian_day());
         assert!((ascension - 198.38083).abs() < 1e-4, "{ascension}");
         assert!((declination + 7.78507).abs() < 1e-4, "{declination}");

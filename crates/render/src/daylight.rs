@@ -139,7 +139,7 @@ pub(crate) fn sample(
     if light.kind == LIGHT_SUN {
         return self::sun(daylight, surface, [v[0], v[1]]);
     }
-    let (direction, density) = daylight.sample(v);
+    let (direction, density) = daylight.sample(surface.normal, v);
     let cos = direction.dot(surface.normal);
     if !(cos > 0.0 && density > 0.0)
         || (!outdoors && daylight.leaves_before(surface.origin, direction, f32::INFINITY))

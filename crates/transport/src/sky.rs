@@ -55,6 +55,8 @@ const CANDIDATES: usize = 8;
 pub const MOST_AIMED: usize = 16;
 /// Light is aimed at openings until chance would send so many times more of it there.
 const BY_CHANCE: f64 = 8.0;
+/// Surfaces face along an axis within some 2.5 degrees.
+const ALONG_AXIS: f32 = 0.999;
 /// Start points lie this share of the root box's margin outside the scene's bounds.
 const OUT: f64 = 0.75;
 
@@ -311,14 +313,13 @@ impl Openings {
             node = &self.nodes[at];
         }
         let mut place = u * node.area;
-        let mut chosen = node.begin as usize;
-        for i in chosen..node.end as usize {
-            chosen = i;
+        let mut own = node.begin as usize..node.end as usize;
+        let last = own.end - 1;
+        let within = |&i: &usize| {
             place -= area(&self.triangles[i]);
-            if place < 0.0 {
-                break;
-            }
-        }
+            place < 0.0
+        };
+        let chosen = own.find(within).unwrap_or(last);
         Some((chosen, probability * area(&self.triangles[chosen]) / node.area))
     }
 
@@ -472,12 +473,13 @@ impl Daylight {
         let ground = f64::from(vector::luminance(sky.ground().as_vec3()));
         let mut tables = Vec::new();
         let mut sides = [[0.0; 6]; 2];
-        for side in 0..6 {
+        let [by_sky, by_sun] = &mut sides;
+        for (side, (by_sky, by_sun)) in by_sky.iter_mut().zip(by_sun).enumerate() {
             let (normal, area) = shell.side(side);
             tables.push(Table::new(&grid, ground, Some(normal)));
             let sky_side = vector::luminance(sky_flux(&grid, -normal, area).as_vec3());
-            sides[0][side] = f64::from(sky_side);
-            sides[1][side] = normal.dot(sky.sun()).max(0.0) * area;
+            *by_sky = f64::from(sky_side);
+            *by_sun = normal.dot(sky.sun()).max(0.0) * area;
         }
         for of in &mut sides {
             let total = of.iter().sum::<f64>().max(f64::MIN_POSITIVE);
@@ -763,9 +765,13 @@ impl Daylight {
         self.sky.radiance(towards.as_dvec3().normalize_or_zero()).as_vec3()
     }
 
-    /// A direction with a density (1/sr) near the radiance of sky and ground, from three uniform numbers.
-    pub fn sample(&self, u: [f32; 3]) -> (Vec3, f32) {
-        let (towards, density) = self.tables[Self::DOME].sample(u);
+    /// A direction with a density (1/sr) near the radiance of sky and ground, times the cosine where a surface faces along an
+    /// axis, as most do, from three uniform numbers.
+    pub fn sample(&self, normal: Vec3, u: [f32; 3]) -> (Vec3, f32) {
+        // A table has a density for all that is less than its cells' size behind its plane.
+        let axis = (0..3).find(|&a| normal[a].abs() > ALONG_AXIS);
+        let table = axis.map_or(Self::DOME, |a| 2 * a + usize::from(normal[a] > 0.0));
+        let (towards, density) = self.tables[table].sample(u);
         (towards.as_vec3(), density as f32)
     }
 
