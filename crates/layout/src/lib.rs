@@ -28,6 +28,7 @@ pub mod rgbe;
 pub mod room;
 pub mod sections;
 pub mod segment;
+pub mod texture;
 pub mod transit;
 
 /// Marks "no index" wherever an index is a `u32`.

@@ -110,6 +110,12 @@ pub enum ExtentKind {
     LightPairs = 26,
     /// One tile's bounding volume hierarchy, a [`crate::sections`] blob of [`crate::bvh`]; id = tile.
     Bvh = 27,
+    /// [`crate::texture::TextureRecord`]s; index = texture.
+    Textures = 34,
+    /// Texels of all textures, 3 bytes each.
+    Texels = 35,
+    /// Texture coordinates of a tile, a [`crate::sections`] blob of [`crate::texture`]; id = tile; absent if none.
+    Coordinates = 36,
 }
 
 impl ExtentKind {
@@ -144,6 +150,9 @@ impl ExtentKind {
             Identity,
             LightPairs,
             Bvh,
+            Textures,
+            Texels,
+            Coordinates,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

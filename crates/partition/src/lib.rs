@@ -11,6 +11,7 @@ mod build;
 mod luminaires;
 mod route;
 mod survey;
+mod textures;
 mod tiles;
 
 use std::path::{Path, PathBuf};
@@ -46,6 +47,9 @@ fn identity(scene: &Scene, args: &PartitionArgs) -> Identity {
     );
     identity
         .push("ceiling-lights", args.ceiling_lights.map_or("none".into(), |l| format!("{l} lx")));
+    if !scene.textures.is_empty() {
+        identity.push("texture-memory", args.texture_memory);
+    }
     identity
 }
 

@@ -11,4 +11,5 @@ pub mod gloss;
 pub mod photon;
 pub mod rng;
 pub mod scatter;
+pub mod texture;
 pub mod vector;
