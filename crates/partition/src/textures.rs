@@ -59,12 +59,13 @@ pub(crate) fn write(
     let mut records = Vec::with_capacity(textures.len());
     for (texture, &halvings) in textures.iter().zip(&halvings) {
         interrupt::check()?;
-        let _work = budget
-            .reserve(texture.decode_bytes(), &format!("the picture {}", texture.name))
-            .map_err(|e| {
-                Failure::from(StoreError::from(e))
-                    .with_hint("make the picture smaller, or save it as a PNG that is not interlaced: that is read row by row")
-            })?;
+        let work = budget.reserve(texture.decode_bytes(), "a picture while it is read");
+        let _work = work.map_err(|e| {
+            Failure::from(StoreError::from(e)).with_hint(format!(
+                "make the picture {} smaller, or save it as a PNG that is not interlaced: that is read row by row",
+                texture.name
+            ))
+        })?;
         let read = texture.decode(halvings).map_err(lost)?;
         if read.texels.len() as u64 != texture.texels(halvings) {
             return Err(Failure::input(format!(
