@@ -7,15 +7,17 @@ use std::path::{Path, PathBuf};
 
 /// A furnace: walls of radiance 2 and reflectance 0.4, with things in it that lose nothing. Light is the same everywhere,
 /// so the picture shows 2 / 0.6 on whatever it shows: emission, direct light on gloss by shadow rays and by the rays that
-/// go on, indirect light, and what glass passes on add up once.
+/// go on, indirect light, and what glass passes on add up once. (White is there to show what the photon map is worth: it
+/// is 0.5 % off.)
 #[test]
 fn lossless_things_vanish_in_a_furnace() {
     let dir = tempfile::tempdir().unwrap();
-    for (name, table, bound) in [
-        ("rough", "kd = 1\nks = 0.5\nroughness = 0.5", 0.012),
-        ("shiny", "kd = 1\nks = 0.3\nroughness = 0.15", 0.012),
-        ("varnish", "kd = 1\nks = 0.04\nroughness = 0", 0.012),
-        ("glass", "solid = true\nindex = 1.5", 0.012),
+    for (name, table) in [
+        ("rough", "kd = 1\nks = 0.5\nroughness = 0.5"),
+        ("shiny", "kd = 1\nks = 0.3\nroughness = 0.15"),
+        ("varnish", "kd = 1\nks = 0.04\nroughness = 0"),
+        ("white", "kd = 1"),
+        ("glass", "solid = true\nindex = 1.5"),
     ] {
         let scene = dir.path().join(format!("{name}.toml"));
         let mut model = Model::default();
@@ -24,14 +26,14 @@ fn lossless_things_vanish_in_a_furnace() {
         model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
         model.object("thing");
         model.material("thing");
-        model.turned([2.8, 2.0, 2.0], [0.5, 0.5, 0.5], 30.0);
+        model.turned([2.9, 2.0, 2.0], [0.6, 0.6, 0.6], 4.0);
         let mtl = "newmtl glow\nKd 0.4 0.4 0.4\nKe 2 2 2\nnewmtl thing\n";
         model.write(&dir.path().join("box.obj"), mtl);
         std::fs::write(
             &scene,
             format!(
                 "[[mesh]]\nfile = \"box.obj\"\n[[material]]\nname = \"thing\"\n{table}\n\
-                 [[view]]\nname = \"in\"\neye = [1, 2, 2.2]\ntarget = [2.8, 2, 2]\nfov = 40\n"
+                 [[view]]\nname = \"in\"\neye = [1, 2.1, 2.1]\ntarget = [2.9, 2, 2]\nfov = 40\n"
             ),
         )
         .unwrap();
@@ -39,7 +41,7 @@ fn lossless_things_vanish_in_a_furnace() {
         ok(bin("enfilade").arg("run").arg(&scene).arg("-o").arg(&out).args([
             "--quiet",
             "--photons-per-light",
-            "400k",
+            "300k",
             "--view",
             "in",
             "--samples",
@@ -58,7 +60,7 @@ fn lossless_things_vanish_in_a_furnace() {
             .collect();
         let mean = middle.iter().sum::<f64>() / middle.len() as f64;
         let expected = 2.0 / 0.6;
-        assert!((mean / expected - 1.0).abs() < bound, "{name}: {mean} for {expected}");
+        assert!((mean / expected - 1.0).abs() < 0.012, "{name}: {mean} for {expected}");
     }
 }
 
