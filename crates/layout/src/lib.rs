@@ -30,6 +30,7 @@ pub mod room;
 pub mod sections;
 pub mod segment;
 pub mod sky;
+pub mod texture;
 pub mod transit;
 
 /// Marks "no index" wherever an index is a `u32`.

@@ -116,6 +116,12 @@ pub enum ExtentKind {
     ProfileValues = 29,
     /// One [`crate::sky::SkyRecord`], if the scene has a sky.
     Sky = 32,
+    /// [`crate::texture::TextureRecord`]s; index = texture.
+    Textures = 34,
+    /// Texels of all textures, 3 bytes each.
+    Texels = 35,
+    /// Texture coordinates of a tile, a [`crate::sections`] blob of [`crate::texture`]; id = tile; absent if none.
+    Coordinates = 36,
 }
 
 impl ExtentKind {
@@ -153,6 +159,9 @@ impl ExtentKind {
             Profiles,
             ProfileValues,
             Sky,
+            Textures,
+            Texels,
+            Coordinates,
         ]
         .into_iter()
         .find(|&k| k as u32 == value)

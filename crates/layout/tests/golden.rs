@@ -37,6 +37,7 @@ use enf_layout::room::{
 use enf_layout::sections::{SECTIONS_MAGIC, SectionRecord, SectionsHeader, Transform, build};
 use enf_layout::segment::*;
 use enf_layout::sky::SkyRecord;
+use enf_layout::texture::*;
 use enf_layout::transit::*;
 use enf_layout::{FORMAT_VERSION, NONE, codec, octahedral, rgbe};
 use zerocopy::IntoBytes;
@@ -210,6 +211,15 @@ fn records() -> Vec<Golden> {
             light_area_m2: 0.35,
             flags: MATERIAL_SEE_THROUGH | MATERIAL_SOLID,
             texture: 3,
+        }
+        TextureRecord {
+            first_texel: 4096,
+            width: 64,
+            height: 32,
+            flags: TEXTURE_CLAMP_X | TEXTURE_MIRROR_Y,
+            place: [[1.0, 0.125, 0.25], [-0.5, -1.0, 1.0]],
+            mean: [0.2, 0.3, 0.4],
+            reserved: 0,
         }
         LightRecord {
             kind: LIGHT_POINT_LAMBERT,
@@ -391,6 +401,10 @@ fn numbers() -> String {
         ("MATERIAL_SEE_THROUGH", MATERIAL_SEE_THROUGH),
         ("MATERIAL_GLOSS", MATERIAL_GLOSS),
         ("MATERIAL_SOLID", MATERIAL_SOLID),
+        ("TEXTURE_CLAMP_X", TEXTURE_CLAMP_X),
+        ("TEXTURE_CLAMP_Y", TEXTURE_CLAMP_Y),
+        ("TEXTURE_MIRROR_X", TEXTURE_MIRROR_X),
+        ("TEXTURE_MIRROR_Y", TEXTURE_MIRROR_Y),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),
         ("PHOTON_AXIS_MASK", PHOTON_AXIS_MASK.into()),
         ("PHOTON_DIRECT", PHOTON_DIRECT.into()),

@@ -62,6 +62,9 @@ pub struct PartitionArgs {
     /// Refuse models with bad lines, missing materials or vertices that are no numbers, instead of a warning
     #[arg(long)]
     pub strict: bool,
+    /// Make textures smaller until all of them together take no more than this: later stages keep them in memory
+    #[arg(long, value_name = "SIZE", default_value = "8M", value_parser = enf_stage::parse_size)]
+    pub texture_memory: u64,
     /// Hang a luminaire in every room, sized for this illuminance (for models without lights)
     #[arg(long, value_name = "LUX", value_parser = parse_lux)]
     pub ceiling_lights: Option<f64>,

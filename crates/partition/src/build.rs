@@ -21,6 +21,7 @@ use zerocopy::IntoBytes;
 use crate::args::{Cli, HintsArg};
 use crate::bins::{Filling, Record};
 use crate::survey::{self, Survey};
+use crate::textures::{self, Coordinates};
 use crate::tiles::Sorted;
 use crate::{luminaires, openings, route};
 
@@ -168,6 +169,10 @@ pub(crate) fn build(
         let passed = route::route(scene, extra, &rooms, &material_hash, common, &mut filling)?;
         (passed, filling.full()?)
     };
+    let coordinates = {
+        let _span = lane.span("sort texture coordinates", scene.textures.len() as u64);
+        Coordinates::collect(scene, store, &budget)?
+    };
     let mut sorted = Sorted::new(&rooms, bins);
     {
         let _span = lane.span("cut tiles", 0u32);
@@ -208,6 +213,7 @@ pub(crate) fn build(
     let starts = Starts::new(&world, &tables, scene)?;
     let mut tile_lights: Vec<u32> = Vec::new();
     let mut written: Vec<(u64, u64, u32)> = Vec::with_capacity(tables.tiles.len());
+    let mut coordinate_bytes: Vec<u64> = Vec::with_capacity(tables.tiles.len());
     {
         let _span = lane.span("write tiles", tables.tiles.len() as u64);
         let lights_of = |record: &Record, lights: &mut Vec<u32>| starts.of_triangle(record, lights);
@@ -216,7 +222,9 @@ pub(crate) fn build(
             &budget,
             common,
             &lights_of,
-            |triangles, bytes, mut lights| {
+            coordinates.as_ref(),
+            |triangles, bytes, textured, mut lights| {
+                coordinate_bytes.push(textured);
                 starts.of_points(written.len() as u32, &mut lights);
                 lights.sort_unstable();
                 lights.dedup();
@@ -225,18 +233,20 @@ pub(crate) fn build(
             },
         )?;
     }
-    drop(sorted);
+    drop((sorted, coordinates));
+    textures::write(scene, args.texture_memory, common, &budget, &mut writer)?;
     let mut stored = 0;
     let mut largest = 0;
     let mut first_light = 0;
-    for (tile, (triangles, bytes, lights)) in tables.tiles.iter_mut().zip(written) {
+    let written = written.into_iter().zip(coordinate_bytes);
+    for (tile, ((triangles, bytes, lights), textured)) in tables.tiles.iter_mut().zip(written) {
         tile.triangles = triangles;
         tile.mesh_bytes = bytes;
         tile.first_light = first_light;
         tile.light_count = lights;
         first_light += lights;
         stored += triangles;
-        largest = largest.max(bytes + structure_bytes_estimate(triangles));
+        largest = largest.max(bytes + textured + structure_bytes_estimate(triangles));
     }
     let record = SceneRecord {
         origin: scene.origin,

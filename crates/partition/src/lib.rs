@@ -12,6 +12,7 @@ mod luminaires;
 mod openings;
 mod route;
 mod survey;
+mod textures;
 mod tiles;
 
 use std::path::{Path, PathBuf};
@@ -48,6 +49,9 @@ fn identity(scene: &Scene, args: &PartitionArgs) -> Identity {
     );
     identity
         .push("ceiling-lights", args.ceiling_lights.map_or("none".into(), |l| format!("{l} lx")));
+    if !scene.textures.is_empty() {
+        identity.push("texture-memory", args.texture_memory);
+    }
     identity
 }
 

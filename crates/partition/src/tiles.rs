@@ -9,6 +9,7 @@ use enf_stage::{CommonArgs, Progress, Result, interrupt};
 use enf_store::{MemoryBudget, StageWriter, StoreDir, encode};
 
 use crate::bins::{Bins, Filling, Record};
+use crate::textures::Coordinates;
 
 /// Peak bytes per triangle while a tile is built and encoded: records, blob, vertex table, transform and frame.
 const ENCODE_BYTES_PER_TRIANGLE: u64 = 110 + size_of::<Record>() as u64;
@@ -119,8 +120,8 @@ impl Sorted {
         }
     }
 
-    /// Encodes and appends every tile. `tile(triangles, blob bytes, lights)` is told in the order of the tiles;
-    /// `lights_of` appends the lights of a triangle.
+    /// Encodes and appends every tile. `tile(triangles, blob bytes, bytes of texture coordinates, lights)` is told in the
+    /// order of the tiles; `lights_of` appends the lights of a triangle.
     ///
     /// # Errors
     /// Exit 3 when the largest tile cannot be encoded within the budget, exit 5 from the disk.
@@ -130,13 +131,16 @@ impl Sorted {
         budget: &MemoryBudget,
         common: &CommonArgs,
         lights_of: &(dyn Fn(&Record, &mut Vec<u32>) + Sync),
-        mut tile: impl FnMut(u64, u64, Vec<u32>),
+        coordinates: Option<&Coordinates>,
+        mut tile: impl FnMut(u64, u64, u64, Vec<u32>),
     ) -> Result<()> {
         let count = |i: usize| self.bins[self.pieces[i].1].count(self.pieces[i].0.number());
         let tiles = self.pieces.len();
         let reading = self.bins.iter().map(Bins::read_bytes).max().unwrap_or(0);
-        let largest =
-            (0..tiles).map(count).max().unwrap_or(0) * ENCODE_BYTES_PER_TRIANGLE + reading;
+        // Coordinates are collected, put together, transformed and compressed.
+        let per_triangle = ENCODE_BYTES_PER_TRIANGLE
+            + if coordinates.is_some() { 4 * Coordinates::BYTES } else { 0 };
+        let largest = (0..tiles).map(count).max().unwrap_or(0) * per_triangle + reading;
         let threads = common
             .threads
             .min((budget.available() / largest.max(1)) as usize)
@@ -161,13 +165,24 @@ impl Sorted {
                 let blob =
                     TileMesh::build_blob(records.iter().map(|r| (r.index, r.material, r.corners)));
                 let triangles = records.len() as u64;
-                drop(records);
-                Ok((triangles, blob.len() as u64, lights, encode(&blob, Codec::ZstdPlanes)?))
+                let (bytes, encoded) = (blob.len() as u64, encode(&blob, Codec::ZstdPlanes)?);
+                drop(blob);
+                let textured = match coordinates.map(|c| c.blob(&records)).transpose()?.flatten() {
+                    Some((count, blob)) => Some((count, encode(&blob, Codec::ZstdPlanes)?)),
+                    None => None,
+                };
+                Ok((triangles, bytes, lights, encoded, textured))
             },
-            |i, (triangles, bytes, lights, encoded)| {
+            |i, (triangles, bytes, lights, encoded, textured)| {
                 interrupt::check()?;
-                writer.append_encoded(ExtentKind::Geometry, i as u32, triangles, &encoded)?;
-                tile(triangles, bytes, lights);
+                let id = i as u32;
+                writer.append_encoded(ExtentKind::Geometry, id, triangles, &encoded)?;
+                let mut more = 0;
+                if let Some((count, encoded)) = textured {
+                    more = encoded.raw_bytes();
+                    writer.append_encoded(ExtentKind::Coordinates, id, count, &encoded)?;
+                }
+                tile(triangles, bytes, more, lights);
                 progress.set(i as u64 + 1);
                 Ok(Continue::Yes)
             },

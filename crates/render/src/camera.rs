@@ -271,6 +271,7 @@ impl Finder<'_> {
                 bsp: self.bsp,
                 structure: &structure,
                 materials: self.tables.materials(),
+                texturing: Default::default(),
                 delta: self.tables.scene.delta,
             };
             let ray = TransitRecord {

@@ -25,6 +25,7 @@ use enf_transport::lamp;
 use enf_transport::rng::{self, Purpose};
 use enf_transport::scatter::{self, Lobes};
 use enf_transport::sky::Daylight;
+use enf_transport::texture::{Coordinates, Texturing};
 use enf_transport::vector;
 use glam::Vec3;
 
@@ -219,6 +220,11 @@ impl Context<'_> {
 
     pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
         let structure = job.tile.structure()?;
+        let texturing = Texturing {
+            textures: self.tables.textures(),
+            texels: self.tables.texels(),
+            coordinates: Coordinates::from_blob(job.tile.coordinates())?,
+        };
         let room = self.tables.tiles()[job.tile.tile as usize].room;
         let shader = Shader {
             context: self,
@@ -227,6 +233,7 @@ impl Context<'_> {
                 bsp: &self.bsp,
                 structure: &structure,
                 materials: self.tables.materials(),
+                texturing,
                 delta: self.tables.scene.delta,
             },
             room,

@@ -16,18 +16,20 @@ use crate::{
     mtl::Spec,
     obj::{self, Mesh},
     shape::{Builder, Lookup, Part},
+    texture::{Map, Source},
 };
 use data::{Buffer, Items, base64, component, unescaped, value};
+use enf_layout::texture::{TEXTURE_CLAMP_X, TEXTURE_CLAMP_Y, TEXTURE_MIRROR_X, TEXTURE_MIRROR_Y};
 use glam::{DMat3, DMat4, DQuat, DVec3};
 use std::{
     collections::{BTreeMap, BTreeSet},
     f64::consts::PI,
     fs::File,
     os::unix::fs::FileExt,
-    path::Path,
+    path::{Path, PathBuf},
 };
 
-/// Reflectance that stands for a base colour texture, which is not read.
+/// What stands for a base colour texture that cannot be read, and in the reflectance of metals for any.
 const TEXTURE_GREY: f64 = 0.5;
 /// Rougher than this, metals and others are matt: a lobe as wide as that is as good as Lambert's, and 1 is what files
 /// say that say nothing.
@@ -325,7 +327,7 @@ impl Reader<'_> {
         let Some(a) = self.root.accessors.get(index) else {
             return self.damaged(format!("there is no accessor {index}"));
         };
-        let kind = if N == 1 { "SCALAR" } else { "VEC3" };
+        let kind = ["SCALAR", "VEC2", "VEC3"][N - 1];
         let Some((bytes, divisor)) = component(a.component_type) else {
             let what = format!("accessor {index} has the component type {}", a.component_type);
             return self.damaged(what);
@@ -402,7 +404,10 @@ impl Reader<'_> {
     /// full.
     fn about_to_read(&mut self, mesh: usize) -> Result<(), SceneError> {
         for primitive in self.root.meshes.get(mesh).iter().flat_map(|m| &m.primitives) {
-            for accessor in primitive.indices.iter().chain(primitive.attributes.get("POSITION")) {
+            let coordinates = primitive.attributes.iter().filter(|a| a.0.starts_with("TEXCOORD_"));
+            let positions = primitive.attributes.get("POSITION");
+            let asked = primitive.indices.iter().chain(positions).chain(coordinates.map(|a| a.1));
+            for accessor in asked {
                 let count = self.root.accessors.get(*accessor).map_or(0, |a| a.count);
                 self.elements = self.elements.saturating_add(count);
             }
@@ -491,10 +496,66 @@ impl Reader<'_> {
                 Some(name) => name.to_string(),
             };
             let name = if all.contains_key(&base) { format!("{base} ({i})") } else { base };
-            all.insert(name.clone(), spec(m));
+            let mut said = spec(m);
+            match m.pbr_metallic_roughness.base_color_texture.as_ref().map(|t| self.picture(t)) {
+                Some(Some(Ok(map))) => {
+                    // The picture in place of the grey that stands for it.
+                    said.kd = said.kd.map(|kd| kd.map(|v| (v / TEXTURE_GREY).min(1.0)));
+                    said.map_kd = Some(map);
+                }
+                Some(Some(Err(path))) => said.lost_map = Some(path),
+                Some(None) => said.lost_map = Some(self.path.into()),
+                None => {}
+            }
+            all.insert(name.clone(), said);
             names.push(name);
         }
         (names, all)
+    }
+
+    /// The picture of a texture (3.8): `None` where the file says nothing that is read here, or the file that is missing.
+    fn picture(&self, used: &json::TextureUse) -> Option<Result<Map, PathBuf>> {
+        let texture = self.root.textures.get(used.index)?;
+        let image = self.root.images.get(texture.source?)?;
+        let source = match (&image.uri, image.buffer_view) {
+            (Some(uri), _) if uri.starts_with("data:") => {
+                let bytes = uri.split_once(";base64,").and_then(|(_, text)| base64(text))?;
+                Source::Memory { path: self.path.into(), bytes }
+            }
+            (Some(uri), _) => {
+                let path = self.path.parent().unwrap_or(Path::new("")).join(unescaped(uri));
+                if !path.is_file() {
+                    return Some(Err(path));
+                }
+                Source::File { path, start: 0, len: None }
+            }
+            (None, view) => {
+                let view = self.root.buffer_views.get(view?)?;
+                let buffer = self.buffers.get(view.buffer)?;
+                buffer.source(self.path, view.byte_offset, view.byte_length)?
+            }
+        };
+        let sampler = texture.sampler.and_then(|s| self.root.samplers.get(s));
+        let mut flags = 0;
+        for (wrap, clamp, mirror) in [
+            (sampler.and_then(|s| s.wrap_s), TEXTURE_CLAMP_X, TEXTURE_MIRROR_X),
+            (sampler.and_then(|s| s.wrap_t), TEXTURE_CLAMP_Y, TEXTURE_MIRROR_Y),
+        ] {
+            flags |= match wrap {
+                Some(33071) => clamp,
+                Some(33648) => mirror,
+                _ => 0,
+            };
+        }
+        // KHR_texture_transform: scaled, then turned, then moved; v points down already.
+        let mut place = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        if let Some(t) = &used.extensions.transform {
+            let [sx, sy] = t.scale.unwrap_or([1.0; 2]);
+            let [ox, oy] = t.offset.unwrap_or([0.0; 2]);
+            let (sin, cos) = libm::sincosf(t.rotation.unwrap_or(0.0));
+            place = [[cos * sx, sin * sy, ox], [-sin * sx, cos * sy, oy]];
+        }
+        place.iter().flatten().all(|v| v.is_finite()).then_some(Ok(Map { source, flags, place }))
     }
 
     /// The nodes of the scene, parents before children (3.5).
@@ -616,6 +677,19 @@ impl Reader<'_> {
                     return self.damaged(format!("{place} uses material {m}, which is none"));
                 }
             };
+            let used = material.and_then(|m| {
+                self.root.materials[m].pbr_metallic_roughness.base_color_texture.as_ref()
+            });
+            let set = used.map(|t| {
+                let over = t.extensions.transform.as_ref().and_then(|t| t.tex_coord);
+                format!("TEXCOORD_{}", over.unwrap_or(t.tex_coord))
+            });
+            let mut places = None;
+            if let Some(&accessor) = set.and_then(|set| primitive.attributes.get(&set)) {
+                let mut read = Builder::new(options.spool.as_ref());
+                self.each_element::<2>(accessor, |[u, v]| read.push_vertex([u, v, 0.0]))?;
+                places = Some(read);
+            }
             let materials = &mut mesh.materials;
             let material = *locals.entry(material).or_insert_with(|| {
                 materials.push(material.map(|m| names[m].clone()));
@@ -632,10 +706,22 @@ impl Reader<'_> {
                     ));
                 }
                 if let Some(corners) = cutter.next(base + index as u32) {
+                    let textured = places.as_mut();
                     if shape.triangles() >= i32::MAX as u64 {
                         return Err(too_many(self.path, &place));
                     }
                     shape.push_triangle(corners, part)?;
+                    if let Some(places) = textured {
+                        let mut at = [[f32::NAN; 2]; 3];
+                        for (at, corner) in at.iter_mut().zip(corners) {
+                            if let Some([u, v, _]) = places.position(corner - base)? {
+                                *at = [u as f32, v as f32];
+                            }
+                        }
+                        if at.iter().flatten().all(|c| c.is_finite()) {
+                            shape.push_coordinates(at)?;
+                        }
+                    }
                 }
                 Ok(())
             };
@@ -889,7 +975,7 @@ fn spec(m: &json::Material) -> Spec {
     let transmission = m.extensions.transmission.as_ref().map_or(0.0, |t| t.transmission_factor);
     let transmission = transmission.clamp(0.0, 1.0);
     let ior = m.extensions.ior.as_ref().and_then(|i| i.ior);
-    let mut out = Spec { textured: textured || m.emissive_texture.is_some(), ..Spec::default() };
+    let mut out = Spec { textured: m.emissive_texture.is_some(), ..Spec::default() };
     if nits.iter().any(|&v| v > 0.0) {
         // 3.9.4: candela per square metre.
         out.ke = Some(nits.map(|v| (v / LUMENS_PER_WATT).clamp(0.0, 1e20)));

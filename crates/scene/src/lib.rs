@@ -45,6 +45,7 @@ mod polygon;
 mod shape;
 mod sky;
 mod stream;
+mod texture;
 mod views;
 
 pub use error::SceneError;
@@ -52,9 +53,11 @@ pub use file::{LUMENS_PER_WATT, luminance, parse_units};
 pub use frame::{Frame, Up};
 pub use lamps::Profiles;
 pub use load::load;
+pub use texture::{Texels, Texture};
 pub use views::load_views;
 
 use enf_layout::{
+    NONE,
     light::{EmitterRecord, LightRecord},
     material::MaterialRecord,
     room::ViewRecord,
@@ -110,6 +113,8 @@ pub struct Scene {
     pub name: String,
     /// Materials in order of first use; index = material id.
     pub materials: Vec<Material>,
+    /// Textures; index = texture id, as in the materials' records.
+    pub textures: Vec<Texture>,
     /// Cameras, in store coordinates.
     pub views: Vec<View>,
     /// What the scene file calls rooms, in store coordinates.
@@ -192,6 +197,9 @@ pub struct SceneTriangle {
     pub material: u32,
     /// Object id.
     pub object: u32,
+    /// Texture coordinates of the corners, as the model has them: where the material has a texture and the model gives
+    /// them.
+    pub coordinates: Option<[[f32; 2]; 3]>,
 }
 
 /// All lights of a scene.
@@ -283,13 +291,16 @@ impl Scene {
                 for run in self.geometry.runs(used, i) {
                     let run = run?;
                     let material = self.material_of(run.object, run.material);
+                    let textured = self.materials[material as usize].record.texture != NONE;
                     for t in run.triangles.start.max(skip)..run.triangles.end {
                         let Ok(corners) = placed.corners(t)? else { continue };
                         if index >= range.end {
                             return Ok(());
                         }
                         if index >= range.start {
-                            f(SceneTriangle { index, corners, material, object: run.object })?;
+                            let coordinates = if textured { placed.coordinates(t)? } else { None };
+                            let object = run.object;
+                            f(SceneTriangle { index, corners, material, object, coordinates })?;
                         }
                         index += 1;
                     }
@@ -406,7 +417,8 @@ impl Scene {
             + self.profiles.bytes()
             + self.doors.capacity() * 4
             + self.copies.len() * 32;
-        self.geometry.bytes() + (names + lists) as u64
+        let textures: u64 = self.textures.iter().map(Texture::bytes).sum();
+        self.geometry.bytes() + (names + lists) as u64 + textures
     }
 
     /// How the input's coordinates become store coordinates: what [`load_views`] needs.

@@ -13,6 +13,7 @@ use crate::{
     shape::{Lookup, Part, Position},
     sky,
     stream::{Geometry, Glowing, MARK_EVERY, Scratch, Skipped, Use},
+    texture::{self, Texture},
     views,
 };
 use enf_layout::{
@@ -316,7 +317,7 @@ impl Loader {
 
 /// The files that an `mtllib` line means: the whole rest of the line, or its words; as given, or beside
 /// the OBJ file.
-fn find_libraries(obj: &Path, given: &str) -> Vec<PathBuf> {
+pub(crate) fn find_libraries(obj: &Path, given: &str) -> Vec<PathBuf> {
     let folder = obj.parent().unwrap_or(Path::new(""));
     let find = |name: &str| {
         let name = name.replace('\\', "/");
@@ -448,19 +449,29 @@ struct Table {
     ids: BTreeMap<String, Vec<(Spec, u32)>>,
     highlights: usize,
     textured: usize,
+    textures: Vec<Texture>,
+    /// Files of textures, for [`Scene::inputs`].
+    pictures: Vec<InputFile>,
+    /// Pictures that are not there, or of a kind that is not read.
+    lost: BTreeSet<PathBuf>,
     scaled: Vec<String>,
 }
 
 impl Table {
-    fn id(&mut self, name: &str, spec: Spec, library: &Path) -> u32 {
+    fn id(&mut self, name: &str, mut spec: Spec, library: &Path) -> Result<u32, SceneError> {
         let known = self.ids.entry(name.into()).or_default();
         if let Some((_, id)) = known.iter().find(|k| k.0 == spec) {
-            return *id;
+            return Ok(*id);
         }
+        let said = spec.clone();
+        self.lost.extend(spec.lost_map.take());
+        let texture = self.texture(&mut spec)?;
+        let known = self.ids.entry(name.into()).or_default();
         let id = self.materials.len() as u32;
         let name =
             if known.is_empty() { name.to_string() } else { format!("{name} ({})", stem(library)) };
-        let mapped = materials::map(&spec);
+        let mut mapped = materials::map(&spec);
+        mapped.record.texture = texture;
         self.highlights += usize::from(mapped.highlight);
         self.textured += usize::from(spec.textured);
         if mapped.scaled {
@@ -468,8 +479,28 @@ impl Table {
         }
         self.power.push(spec.power);
         self.materials.push(Material { name, record: mapped.record });
-        known.push((spec, id));
-        id
+        known.push((said, id));
+        Ok(id)
+    }
+
+    /// Number of a material's texture; it is forgotten if it cannot be read.
+    fn texture(&mut self, spec: &mut Spec) -> Result<u32, SceneError> {
+        let Some(map) = &spec.map_kd else { return Ok(NONE) };
+        if let Some(at) = self.textures.iter().position(|t| t.is(map)) {
+            return Ok(at as u32);
+        }
+        let Some(texture) = Texture::open(map)? else {
+            self.lost.insert(map.source.path().into());
+            spec.map_kd = None;
+            return Ok(NONE);
+        };
+        if let Some(input) = texture::input_of(map)?
+            && !self.pictures.iter().any(|p| p.path == input.path)
+        {
+            self.pictures.push(input);
+        }
+        self.textures.push(texture);
+        Ok(self.textures.len() as u32 - 1)
     }
 
     fn emits(&self, id: u32) -> bool {
@@ -539,7 +570,7 @@ impl Loader {
                         materials::default_spec()
                     }),
                 };
-                ids.push(table.id(name, spec, &mesh.file));
+                ids.push(table.id(name, spec, &mesh.file)?);
             }
             per_use.push(ids);
         }
@@ -596,9 +627,25 @@ impl Loader {
         }
         if table.textured > 0 {
             self.warnings.push(format!(
-                "{}: the textures of {} materials are not rendered; their plain colours are",
+                "{}: {} materials have maps other than of colour (map_Kd, baseColorTexture), which are not \
+                 rendered",
                 path.display(),
                 table.textured
+            ));
+        }
+        if let Some(first) = table.lost.first() {
+            if strict {
+                return Err(SceneError::whole(
+                    first,
+                    "the texture is missing, or neither PNG nor JPEG",
+                    "put it beside the model, or do without --strict",
+                ));
+            }
+            self.warnings.push(format!(
+                "{}: {} textures are missing, or neither PNG nor JPEG; plain colours are used (first: {})",
+                path.display(),
+                table.lost.len(),
+                first.display()
             ));
         }
         if !table.scaled.is_empty() {
@@ -755,11 +802,13 @@ impl Loader {
                 path.display()
             ));
         }
+        self.inputs.append(&mut table.pictures);
         let doors = door_objects(&geometry)?;
         let copies = lights::set_power(&mut table.materials, &table.power, &measured.areas, path)?;
         Ok(Scene {
             name,
             materials: table.materials,
+            textures: table.textures,
             views,
             hints,
             sky,

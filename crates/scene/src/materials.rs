@@ -15,7 +15,8 @@
 //! | `illum` 4, `Tf 1 1 1`, `Ni` <= 1, no `d` < 1 | opaque: Maya writes that for every Lambert surface |
 //! | `d 1`, no `Tf` | opaque, whatever `illum` says |
 //! | `solid` (scene file) | solid glass: `transmission = Tf` (without: 1) at each crossing, `index = Ni` (without: 1.5), `absorption` |
-//! | `map_...` | left out, with one warning for all |
+//! | `map_Kd` | a texture that `diffuse` is multiplied by; `Kd` is then 1 where it is missing or black |
+//! | other `map_...` | left out, with one warning for all |
 //!
 //! A pane without `d` (`illum` 4, 6, 7, 9) has no diffuse part. Channels whose parts sum to more than 1
 //! are scaled down, with a warning; matter below a gloss gets what the gloss leaves, so there each part counts alone.
@@ -112,8 +113,12 @@ fn opaque(spec: &Spec) -> Opaque {
     }
 }
 
-/// Maps a material; see the table above.
+/// Maps a material; see the table above. Its texture's number is left to the caller.
 pub(crate) fn map(spec: &Spec) -> Mapped {
+    if spec.map_kd.is_some() && spec.kd.is_none_or(|kd| kd == [0.0; 3]) {
+        // Exporters write black, or nothing, and mean the picture.
+        return map(&Spec { map_kd: None, kd: Some([1.0; 3]), ..spec.clone() });
+    }
     let d = spec.d.map(|d| d.clamp(0.0, 1.0));
     let any = |c: [f64; 3]| c.iter().any(|&v| v > 0.0);
 

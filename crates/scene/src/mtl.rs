@@ -4,8 +4,12 @@ use crate::{
     InputFile, SceneError,
     input::{Lines, keyword, name, number, words},
     obj::excerpt,
+    texture::{Map, map_statement},
 };
-use std::{collections::BTreeMap, path::Path};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 /// What files say about a material; `None` where they say nothing.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,7 +46,11 @@ pub(crate) struct Spec {
     pub(crate) absorption: Option<[f64; 3]>,
     /// Scene file: flux of each light of this material, W.
     pub(crate) power: Option<[f64; 3]>,
-    /// Some `map_...` is given (and not used).
+    /// `map_Kd`.
+    pub(crate) map_kd: Option<Map>,
+    /// File of a `map_Kd` that is not there.
+    pub(crate) lost_map: Option<PathBuf>,
+    /// Some other `map_...` is given (and not used).
     pub(crate) textured: bool,
 }
 
@@ -89,6 +97,16 @@ pub(crate) fn read(path: &Path) -> Result<(BTreeMap<String, Spec>, InputFile), S
                 }
                 spec.illum = Some(value as u8);
             }
+            b"map_Kd" => match map_statement(rest, path) {
+                Some(Ok(map)) => spec.map_kd = Some(map),
+                Some(Err(path)) => spec.lost_map = Some(path),
+                None => {
+                    return Err(lines.error(
+                        format!("map_Kd needs options and a file, not \"{}\"", excerpt(rest)),
+                        "write map_Kd picture.png",
+                    ));
+                }
+            },
             _ if key.starts_with(b"map_") => spec.textured = true,
             _ => {}
         }

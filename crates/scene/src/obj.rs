@@ -6,14 +6,15 @@
 //! 24 bytes a vertex and 12 a triangle, in memory or in temporary files ([`crate::Spool`]). (The tests
 //! hold it against `tobj`.)
 //!
-//! Normals (which side is the front is a matter of the corners' order), texture coordinates, lines, points,
-//! smoothing groups and free-form surfaces are read past.
+//! Texture coordinates are kept where a material library has a texture. Normals (which side is the front is a matter of
+//! the corners' order), lines, points, smoothing groups and free-form surfaces are read past.
 
 use crate::{
     InputFile, LoadOptions, SceneError,
     doors::is_door,
     input::{Lines, keyword, leading_corner, leading_number, name, words},
-    polygon,
+    load::find_libraries,
+    mtl, polygon,
     shape::{Builder, Part, Shape},
 };
 use glam::DVec3;
@@ -175,6 +176,11 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
     let mut shape = Builder::new(options.spool.as_ref());
     let mut state = State::default();
     let mut corners: Vec<u32> = Vec::new();
+    // Texture coordinates, once a library with textures was named; NaN for those before.
+    let mut pictures = false;
+    let mut coordinates = Builder::new(options.spool.as_ref());
+    let mut coordinate_count = 0u32;
+    let mut at: Vec<[f32; 2]> = Vec::new();
     let mut points: Vec<DVec3> = Vec::new();
     let mut cut: Vec<[usize; 3]> = Vec::new();
     // Largest vertex number asked for, and where.
@@ -211,6 +217,7 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
             }
             b"f" => {
                 corners.clear();
+                at.clear();
                 let mut text = rest;
                 while !text.is_empty() {
                     let (word, (index, after)) = (text, corner(text));
@@ -239,6 +246,15 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
                         largest = (vertex, lines.number());
                     }
                     corners.push(vertex);
+                    if pictures {
+                        let said = &word[..word.len() - text.len()];
+                        let number = texture_index(said, coordinate_count);
+                        let place = match number {
+                            Some(number) => coordinates.position(number)?,
+                            None => None,
+                        };
+                        at.push(place.map_or([f32::NAN; 2], |[u, v, _]| [u as f32, v as f32]));
+                    }
                 }
                 if corners.len() < 3 {
                     if options.strict {
@@ -260,6 +276,9 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
                 let part = state.part(&mut mesh);
                 if let [a, b, c] = corners[..] {
                     shape.push_triangle([a, b, c], part)?;
+                    if let [a, b, c] = at[..] {
+                        textured(&mut shape, [a, b, c])?;
+                    }
                     continue;
                 }
                 points.clear();
@@ -274,6 +293,9 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
                 polygon::triangulate(&points, &mut cut);
                 for t in &cut {
                     shape.push_triangle(t.map(|i| corners[i]), part)?;
+                    if pictures {
+                        textured(&mut shape, t.map(|i| at[i]))?;
+                    }
                 }
             }
             b"o" => {
@@ -294,11 +316,25 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
             }
             b"mtllib" if !rest.is_empty() => {
                 let library = name(rest);
+                if !pictures && has_pictures(path, &library) {
+                    pictures = true;
+                    for _ in 0..coordinate_count {
+                        coordinates.push_vertex([f64::NAN; 3])?;
+                    }
+                }
                 if !mesh.libraries.iter().any(|l| l.0 == library) {
                     mesh.libraries.push((library, lines.number()));
                 }
             }
-            b"vn" | b"vt" | b"s" | b"mtllib" => {}
+            b"vt" => {
+                coordinate_count = coordinate_count.saturating_add(1);
+                if pictures {
+                    let (u, rest) = leading_number(rest).unwrap_or((f64::NAN, b""));
+                    let v = leading_number(rest).map_or(0.0, |v| v.0);
+                    coordinates.push_vertex([u, v, 0.0])?;
+                }
+            }
+            b"vn" | b"s" | b"mtllib" => {}
             b"curv" | b"curv2" | b"surf" => {
                 if options.strict {
                     return Err(lines.error(
@@ -352,6 +388,29 @@ pub(crate) fn read(path: &Path, options: &LoadOptions) -> Result<(Mesh, InputFil
     mesh.objects.shrink_to_fit();
     mesh.not_finite.shrink_to_fit();
     Ok((mesh, lines.finish()?))
+}
+
+/// Whether a material library has textures. One that cannot be read is somebody else's to complain about.
+fn has_pictures(obj: &Path, library: &str) -> bool {
+    find_libraries(obj, library).iter().any(|at| {
+        mtl::read(at).is_ok_and(|(specs, _)| specs.values().any(|spec| spec.map_kd.is_some()))
+    })
+}
+
+/// Keeps the texture coordinates of the triangle that was pushed last, if they are numbers.
+fn textured(shape: &mut Builder, corners: [[f32; 2]; 3]) -> Result<(), SceneError> {
+    if corners.iter().flatten().all(|c| c.is_finite()) {
+        shape.push_coordinates(corners)?;
+    }
+    Ok(())
+}
+
+/// The number of the texture coordinates (from 0) in `v/vt` or `v/vt/vn`, when so many stand before it.
+fn texture_index(corner: &[u8], count: u32) -> Option<u32> {
+    let word = corner.split(|&b| b == b'/').nth(1)?;
+    let index = std::str::from_utf8(word).ok()?.trim().parse::<i64>().ok()?;
+    let index = if index < 0 { i64::from(count) + index } else { index - 1 };
+    u32::try_from(index).ok().filter(|&i| i < count)
 }
 
 /// The place that a `v` line gives.

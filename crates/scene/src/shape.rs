@@ -53,6 +53,15 @@ impl Part {
     }
 }
 
+/// Texture coordinates of a triangle's corners.
+#[derive(Clone, Copy, Debug, PartialEq, FromBytes, IntoBytes, Immutable)]
+#[repr(C)]
+pub(crate) struct Textured {
+    /// Triangle of the mesh.
+    pub(crate) triangle: u32,
+    pub(crate) corners: [[f32; 2]; 3],
+}
+
 /// The triangles of a mesh.
 #[derive(Debug)]
 pub(crate) enum Shape {
@@ -60,12 +69,14 @@ pub(crate) enum Shape {
     Spooled(Spooled),
 }
 
-/// In memory: 24 bytes a vertex, 12 a triangle, 16 a part.
+/// In memory: 24 bytes a vertex, 12 a triangle (28 more with texture coordinates), 16 a part.
 #[derive(Debug, Default)]
 pub(crate) struct Resident {
     pub(crate) positions: Vec<Position>,
     pub(crate) triangles: Vec<[u32; 3]>,
     pub(crate) parts: Vec<Part>,
+    /// Of the triangles that have some, ascending.
+    pub(crate) textured: Vec<Textured>,
 }
 
 /// In files.
@@ -75,6 +86,7 @@ pub(crate) struct Spooled {
     positions: Column,
     triangles: Column,
     parts: Column,
+    textured: Column,
 }
 
 /// A file of equal items.
@@ -176,6 +188,13 @@ impl Builder {
         if self.tail.triangles.len().is_multiple_of(TAIL) { self.check() } else { Ok(()) }
     }
 
+    /// Gives the triangle that was pushed last its texture coordinates.
+    pub(crate) fn push_coordinates(&mut self, corners: [[f32; 2]; 3]) -> Result<(), SceneError> {
+        let triangle = (self.triangles() as u32).wrapping_sub(1);
+        self.tail.textured.push(Textured { triangle, corners });
+        if self.tail.textured.len().is_multiple_of(TAIL) { self.check() } else { Ok(()) }
+    }
+
     /// A vertex that was pushed before; `None` for one that was not.
     pub(crate) fn position(&mut self, vertex: u32) -> Result<Option<Position>, SceneError> {
         let first = self.files.as_ref().map_or(0, |f| f.positions.len);
@@ -197,6 +216,7 @@ impl Builder {
                 positions: Column::create(&spool.folder)?,
                 triangles: Column::create(&spool.folder)?,
                 parts: Column::create(&spool.folder)?,
+                textured: Column::create(&spool.folder)?,
             });
             self.flush(false)?;
             self.tail.positions.shrink_to(TAIL);
@@ -217,6 +237,8 @@ impl Builder {
         files.triangles.append(&self.tail.triangles, &files.folder)?;
         self.tail.positions.drain(..whole);
         self.tail.triangles.clear();
+        files.textured.append(&self.tail.textured, &files.folder)?;
+        self.tail.textured.clear();
         if let Some(last) = self.tail.parts.pop() {
             files.append_parts(&self.tail.parts)?;
             self.tail.parts.clear();
@@ -238,6 +260,7 @@ impl Builder {
                 self.tail.positions.shrink_to_fit();
                 self.tail.triangles.shrink_to_fit();
                 self.tail.parts.shrink_to_fit();
+                self.tail.textured.shrink_to_fit();
                 Shape::Resident(self.tail)
             }
         })
@@ -248,6 +271,7 @@ impl Resident {
     fn used_bytes(&self) -> u64 {
         (self.positions.len() * size_of::<Position>()
             + self.triangles.len() * 12
+            + self.textured.len() * size_of::<Textured>()
             + self.parts.len() * size_of::<Part>()) as u64
     }
 }
@@ -264,6 +288,24 @@ impl Spooled {
     }
 }
 
+impl Spooled {
+    /// Number of the first coordinates of triangle `t` or later ones.
+    fn first_textured(&self, t: u32) -> Result<u64, SceneError> {
+        let (mut low, mut high) = (0, self.textured.len);
+        let mut one: Vec<Textured> = Vec::new();
+        while low < high {
+            let middle = low + (high - low) / 2;
+            self.textured.read(middle, 1, &mut one, &self.folder)?;
+            if one.first().is_some_and(|c| c.triangle < t) {
+                low = middle + 1;
+            } else {
+                high = middle;
+            }
+        }
+        Ok(low)
+    }
+}
+
 impl Default for Shape {
     fn default() -> Self {
         Self::Resident(Resident::default())
@@ -277,6 +319,7 @@ impl Shape {
             Self::Resident(r) => {
                 (r.positions.capacity() * size_of::<Position>()
                     + r.triangles.capacity() * 12
+                    + r.textured.capacity() * size_of::<Textured>()
                     + r.parts.capacity() * size_of::<Part>()) as u64
             }
             Self::Spooled(s) => s.folder.as_os_str().len() as u64,
@@ -464,6 +507,9 @@ impl<T: Copy> Pages<T> {
 pub(crate) struct Lookup<T> {
     window: Vec<[u32; 3]>,
     first: u64,
+    /// Texture coordinates that were read, from number `textured_first` on.
+    textured: Vec<Textured>,
+    textured_first: u64,
     pages: Pages<T>,
 }
 
@@ -476,7 +522,7 @@ impl<T> Default for Lookup<T> {
             hand: 0,
             raw: Vec::new(),
         };
-        Self { window: Vec::new(), first: 0, pages }
+        Self { window: Vec::new(), first: 0, textured: Vec::new(), textured_first: 0, pages }
     }
 }
 
@@ -485,7 +531,45 @@ impl<T: Copy> Lookup<T> {
     pub(crate) fn reset(&mut self) {
         self.window.clear();
         self.first = 0;
+        self.textured.clear();
+        self.textured_first = 0;
         self.pages.reset();
+    }
+
+    /// Texture coordinates of a triangle, if it has any.
+    pub(crate) fn coordinates(
+        &mut self,
+        shape: &Shape,
+        t: u32,
+    ) -> Result<Option<[[f32; 2]; 3]>, SceneError> {
+        let find = |list: &[Textured]| {
+            let at = list.binary_search_by_key(&t, |c| c.triangle).ok()?;
+            Some(list[at].corners)
+        };
+        let s = match shape {
+            Shape::Resident(r) => return Ok(find(&r.textured)),
+            Shape::Spooled(s) => s,
+        };
+        let covers = |list: &[Textured]| {
+            list.first().is_some_and(|c| c.triangle <= t)
+                && list.last().is_some_and(|c| t <= c.triangle)
+        };
+        if !covers(&self.textured) {
+            // What follows is the likely place; else it is looked for.
+            let mut next = self.textured_first + self.textured.len() as u64;
+            if self.textured.last().is_none_or(|c| c.triangle >= t) {
+                next = s.first_textured(t)?;
+            }
+            for _ in 0..2 {
+                self.textured_first = next;
+                s.textured.read(next, WINDOW, &mut self.textured, &s.folder)?;
+                if covers(&self.textured) {
+                    break;
+                }
+                next = s.first_textured(t)?;
+            }
+        }
+        Ok(find(&self.textured))
     }
 
     /// Vertex numbers of a triangle.
@@ -533,6 +617,9 @@ mod tests {
                 let far = i.wrapping_mul(2_654_435_761) % i;
                 let part = Part { end: 0, object: i / 7, material: i % 3, door: i % 5 == 0 };
                 b.push_triangle([i, i - 1, far], part).unwrap();
+                if i % 4 != 1 {
+                    b.push_coordinates([[i as f32, 0.0], [0.0, 1.0], [0.5, 0.5]]).unwrap();
+                }
                 for v in [far, i - 1, i.saturating_sub(900), i.saturating_sub(9000)] {
                     assert_eq!(b.position(v).unwrap().unwrap()[0], f64::from(v));
                 }
@@ -561,6 +648,9 @@ mod tests {
         for t in (0..count).chain([0, 5, count - 1]) {
             let (p, q) = (x.triangle(&a, t).unwrap(), y.triangle(&b, t).unwrap());
             assert_eq!(p, q);
+            let coordinates = x.coordinates(&a, t).unwrap();
+            assert_eq!(coordinates, y.coordinates(&b, t).unwrap());
+            assert_eq!(coordinates.map(|c| c[0][0]), (p[0] % 4 != 1).then_some(p[0] as f32));
             for v in p {
                 assert_eq!(x.vertex(&a, v, |p| p).unwrap(), y.vertex(&b, v, |p| p).unwrap());
             }

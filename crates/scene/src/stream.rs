@@ -146,6 +146,18 @@ impl Placed<'_> {
         })
     }
 
+    /// Texture coordinates of a triangle's corners, in the order of [`Placed::corners`].
+    ///
+    /// # Errors
+    /// A spooled mesh cannot be read.
+    pub(crate) fn coordinates(
+        &mut self,
+        triangle: u32,
+    ) -> Result<Option<[[f32; 2]; 3]>, SceneError> {
+        let found = self.lookup.coordinates(self.shape, triangle)?;
+        Ok(found.map(|[a, b, c]| if self.matrix.flips { [a, c, b] } else { [a, b, c] }))
+    }
+
     /// The vertices of a triangle, and the first one's place, whatever it is.
     pub(crate) fn vertices(&mut self, triangle: u32) -> Result<([u32; 3], [f32; 3]), SceneError> {
         let vertices = self.lookup.triangle(self.shape, triangle)?;

@@ -464,7 +464,7 @@ fn materials_as_photons_see_them() {
     assert_eq!(of["plain (7)"].diffuse, [0.25; 3]);
     assert_eq!(of["unnamed"].diffuse, [0.7; 3]);
     let text = scene.warnings.join("\n");
-    assert!(text.contains("textures of 1 materials"), "{text}");
+    assert!(text.contains("1 textures are missing"), "{text}");
     assert!(text.contains("some faces have no material"), "{text}");
     let strict = LoadOptions { strict: true, ..LoadOptions::default() };
     assert!(load(&dir.path().join("a.gltf"), &strict).is_err());

@@ -132,6 +132,7 @@ fn fixtures_and_real_models_are_the_same_spooled() {
         "box.toml",
         "hall.toml",
         "gallery.toml",
+        "washers.toml",
         "two-rooms.toml",
         "box.obj",
         "hall.obj",

@@ -23,6 +23,8 @@ pub struct TileData {
     /// Kept for a structure that holds no triangles of its own.
     mesh: Option<Buffer>,
     structure: Buffer,
+    /// Texture coordinates, where some triangle has any.
+    coordinates: Option<Buffer>,
     delta: f32,
 }
 
@@ -42,9 +44,15 @@ impl TileData {
         })
     }
 
+    /// Texture coordinates of the tile's triangles, a blob of [`enf_layout::texture`]; empty if there are none.
+    pub fn coordinates(&self) -> &[u8] {
+        self.coordinates.as_ref().map_or(&[], |c| &c[..])
+    }
+
     /// Bytes held.
     pub fn bytes(&self) -> u64 {
-        (self.mesh.as_ref().map_or(0, |m| m.len()) + self.structure.len()) as u64
+        let optional = |b: &Option<Buffer>| b.as_ref().map_or(0, |b| b.len());
+        (optional(&self.mesh) + self.structure.len() + optional(&self.coordinates)) as u64
     }
 }
 
@@ -73,8 +81,10 @@ impl TileReader<'_> {
     /// # Errors
     /// When the store does not have it.
     pub fn bytes(&self, tile: u32) -> Result<u64> {
+        let coordinates = self.partition.find(ExtentKind::Coordinates, tile);
         Ok(self.partition.single(ExtentKind::Geometry, tile)?.raw_bytes
-            + self.structure(tile)?.1.raw_bytes)
+            + self.structure(tile)?.1.raw_bytes
+            + coordinates.iter().map(|c| c.raw_bytes).sum::<u64>())
     }
 
     /// Reads, verifies and inflates a tile.
@@ -94,7 +104,14 @@ impl TileReader<'_> {
             StructureKind::Bvh => drop(BvhView::from_checked_blob(&structure, self.delta)?),
         }
         let mesh = (kind == StructureKind::Grid).then_some(mesh);
-        Ok(TileData { tile, mesh, structure, delta: self.delta })
+        let coordinates = match self.partition.find(ExtentKind::Coordinates, tile) {
+            [] => None,
+            _ => {
+                let extent = self.partition.single(ExtentKind::Coordinates, tile)?;
+                Some(self.partition.read(extent, self.budget, "texture coordinates of a tile")?)
+            }
+        };
+        Ok(TileData { tile, mesh, structure, coordinates, delta: self.delta })
     }
 }
 

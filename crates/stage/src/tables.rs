@@ -10,6 +10,7 @@ use enf_layout::room::{
 };
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_layout::sky::SkyRecord;
+use enf_layout::texture::TextureRecord;
 use enf_rooms::Bsp;
 use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
 use zerocopy::{FromBytes, Immutable, KnownLayout};
@@ -41,6 +42,8 @@ pub struct Tables {
     tiles: Buffer,
     tile_lights: Buffer,
     views: Buffer,
+    textures: Buffer,
+    texels: Buffer,
 }
 
 /// Names that the partition keeps.
@@ -120,6 +123,8 @@ impl Tables {
             tiles: checked::<TileRecord>(read(ExtentKind::Tiles)?)?,
             tile_lights: checked::<u32>(read(ExtentKind::TileLights)?)?,
             views: checked::<ViewRecord>(read(ExtentKind::Views)?)?,
+            textures: checked::<TextureRecord>(read(ExtentKind::Textures)?)?,
+            texels: checked::<[u8; 3]>(read(ExtentKind::Texels)?)?,
             partition,
         };
         tables.check()?;
@@ -175,6 +180,17 @@ impl Tables {
         {
             return bad("luminaire");
         }
+        let (textures, texels) = (self.textures().len(), self.texels().len() as u64);
+        if !self.textures().iter().all(|t| {
+            let size = u64::from(t.width) * u64::from(t.height);
+            size > 0 && u64::from(t.first_texel) + size <= texels
+        }) || !self
+            .materials()
+            .iter()
+            .all(|m| m.texture == enf_layout::NONE || (m.texture as usize) < textures)
+        {
+            return bad("texture");
+        }
         Ok(())
     }
 
@@ -223,6 +239,11 @@ impl Tables {
         tile_lights: u32);
     table!(/// The scene's own views.
         views: ViewRecord);
+
+    table!(/// Textures by id.
+        textures: TextureRecord);
+    table!(/// Texels of all textures, sRGB.
+        texels: [u8; 3]);
 
     /// The emitting triangles of a light.
     pub fn emitters_of(&self, light: &LightRecord) -> &[EmitterRecord] {

@@ -22,6 +22,7 @@ use enf_transport::photon::{self, Sink, Taken};
 use enf_transport::rng::{self, Purpose};
 use enf_transport::scatter::Event;
 use enf_transport::sky::Daylight;
+use enf_transport::texture::{Coordinates, Texturing};
 use enf_transport::vector;
 use glam::Vec3;
 
@@ -300,11 +301,17 @@ impl Context<'_> {
     /// Runs one job.
     pub(crate) fn run(&self, job: &Job, group: &mut photon::Group) -> Result<Products, Malformed> {
         let structure = job.tile.structure()?;
+        let texturing = Texturing {
+            textures: self.tables.textures(),
+            texels: self.tables.texels(),
+            coordinates: Coordinates::from_blob(job.tile.coordinates())?,
+        };
         let tile = Resident {
             tile: job.tile.tile,
             bsp: &self.bsp,
             structure: &structure,
             materials: self.tables.materials(),
+            texturing,
             delta: self.tables.scene.delta,
         };
         let mut sink = Aiming {

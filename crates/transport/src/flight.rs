@@ -8,6 +8,7 @@ use glam::{DVec3, Vec3};
 
 use crate::emission::OFFSET_PER_DELTA;
 use crate::scatter::{Met, Swings};
+use crate::texture::Texturing;
 
 /// A tile in memory, and the tables that say where it lies.
 #[derive(Clone, Copy)]
@@ -20,6 +21,8 @@ pub struct Resident<'a> {
     pub structure: &'a Structure<'a>,
     /// All materials of the scene.
     pub materials: &'a [MaterialRecord],
+    /// Its textures, and where the tile's triangles lie on them.
+    pub texturing: Texturing<'a>,
     /// The scene's tolerance, m.
     pub delta: f32,
 }
@@ -156,12 +159,13 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
 }
 
 /// How a ray meets the surface at its hit: what [`crate::scatter::lobes`] asks.
-pub fn met(_tile: &Resident<'_>, record: &TransitRecord, hit: &Hit, surface: &Surface) -> Met {
+pub fn met(tile: &Resident<'_>, record: &TransitRecord, hit: &Hit, surface: &Surface) -> Met {
+    let texture = tile.materials[surface.material as usize].texture;
     Met {
         cos: -surface.normal.dot(Vec3::from(record.direction)),
         front: surface.front,
         length: hit.t,
-        texel: Vec3::ONE,
+        texel: tile.texturing.colour(texture, hit.global, hit.u, hit.v),
         swings: Swings::of(record.flags),
     }
 }

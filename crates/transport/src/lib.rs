@@ -14,4 +14,5 @@ pub mod rng;
 pub mod scatter;
 pub mod sky;
 pub mod spherical;
+pub mod texture;
 pub mod vector;

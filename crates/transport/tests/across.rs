@@ -118,8 +118,14 @@ fn first_hit(cut: &Cut, ray: &Ray) -> Option<(u32, u32)> {
         let (mesh, kind, blob) = &cut.tiles[tile as usize];
         let mesh = TileMesh::from_blob(mesh).expect("a mesh");
         let structure = Structure::from_blob(*kind, blob, mesh, cut.delta).expect("a structure");
-        let resident =
-            Resident { tile, bsp: &bsp, structure: &structure, materials: &[], delta: cut.delta };
+        let resident = Resident {
+            tile,
+            bsp: &bsp,
+            structure: &structure,
+            materials: &[],
+            texturing: Default::default(),
+            delta: cut.delta,
+        };
         match fly(&resident, &record, f32::INFINITY, |_, _| {}) {
             Flight::Hit { hit, .. } => return Some((hit.t.to_bits(), hit.global)),
             Flight::Leaves { leaf, t } => {

@@ -114,6 +114,7 @@ impl World {
             bsp: &bsp,
             structure: &structure,
             materials: &self.materials,
+            texturing: Default::default(),
             delta: self.delta,
         };
         let mut found = Found::default();

@@ -1,6 +1,6 @@
 //! Bytes: the buffers of a glTF file, read block by block, and what their components mean.
 
-use crate::SceneError;
+use crate::{SceneError, texture::Source};
 use std::{fs::File, os::unix::fs::FileExt, path::PathBuf};
 
 /// Bytes of a buffer that are read in one go, about.
@@ -18,6 +18,22 @@ impl Buffer {
             Self::File { len, .. } => *len,
             Self::Memory(bytes) => bytes.len() as u64,
         }
+    }
+
+    /// Where a run of its bytes is, for a picture; `of` is the glTF file.
+    pub(super) fn source(&self, of: &std::path::Path, at: u64, len: u64) -> Option<Source> {
+        if at.checked_add(len).is_none_or(|end| end > self.len()) {
+            return None;
+        }
+        Some(match self {
+            Self::File { path, start, .. } => {
+                Source::File { path: path.clone(), start: start + at, len: Some(len) }
+            }
+            Self::Memory(bytes) => Source::Memory {
+                path: of.into(),
+                bytes: bytes[at as usize..(at + len) as usize].to_vec(),
+            },
+        })
     }
 
     /// Reads what was checked to be there.
