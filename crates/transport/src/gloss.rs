@@ -13,7 +13,7 @@
 //!
 //! with the gloss's directional albedo `E`. That is reciprocal, and seen from any angle the whole surface reflects
 //! `E + kd (1 - E)`: never more than arrives. Light that bounces between facets is lost, as in every model with a single
-//! scattering: a white metal of roughness 0.5 keeps about 95 %, one of roughness 1 about 60.
+//! scattering: a white metal of roughness 0.5 (alpha 0.25) keeps 88 %, one of roughness 1 keeps 41.
 
 use std::sync::OnceLock;
 
