@@ -426,11 +426,7 @@ fn render(
             writer,
             rows: RowTable::new(rows, block),
             waiting: BTreeMap::new(),
-            scheduler: Scheduler::new(
-                cli.queue.schedule,
-                tables.tiles().len() as u32,
-                block as u64,
-            ),
+            scheduler: Scheduler::new(cli.queue.schedule, tables.tiles().len() as u32),
             shown: Shown::default(),
         };
         let driven = driver.drive();

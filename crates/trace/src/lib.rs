@@ -377,7 +377,7 @@ fn trace(
             epoch: if share.of > 1 { cli.trace.epoch.min(SHARED_EPOCH) } else { cli.trace.epoch },
             share,
             cursors,
-            scheduler: Scheduler::new(queue.schedule, tables.tiles().len() as u32, block as u64),
+            scheduler: Scheduler::new(queue.schedule, tables.tiles().len() as u32),
             lane: timeline.lane("schedule"),
         };
         let driven = driver.drive(&waiting);
