@@ -73,14 +73,9 @@ impl GridView<'_> {
 
         let [nx, ny, nz] = header.bricks.map(|n| n as i32);
         let count = [nx, ny, nz];
-        let mut cells = Cells { start, speed, base, pace, step: [1; 3], ahead: [1.0; 3] };
-        for i in 0..3 {
-            if direction[i] < 0.0 {
-                cells.step[i] = -1;
-                cells.ahead[i] = 0.0;
-            }
-        }
-        let Cells { step, ahead, .. } = cells;
+        let step = direction.map(|d| if d < 0.0 { -1 } else { 1 });
+        let ahead = direction.map(|d| if d < 0.0 { 0.0 } else { 1.0 });
+        let cells = Cells { start, speed, base, pace, step, ahead };
         let stride = [step[0], step[1] * nx, step[2] * nx * ny];
         let edge = f64::from(BRICK);
 
