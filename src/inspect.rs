@@ -7,7 +7,9 @@ use std::path::PathBuf;
 use clap::{Args, ValueEnum};
 use enf_layout::bsp::LEAF_OUTSIDE;
 use enf_layout::journal::LedgerRecord;
-use enf_layout::light::{LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SPOT};
+use enf_layout::light::{
+    LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY, LIGHT_SPOT, LIGHT_SUN,
+};
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::tables::Tables;
@@ -212,6 +214,8 @@ fn lights(tables: &Tables) -> Value {
                 LIGHT_POINT_LAMBERT => "lambert-point",
                 LIGHT_SPOT => "spot",
                 LIGHT_PROFILE => "ies",
+                LIGHT_SKY => "sky",
+                LIGHT_SUN => "sun",
                 _ => "other",
             };
             let [r, g, b] = light.flux_w.map(f64::from);
