@@ -3,7 +3,8 @@
 mod common;
 
 use common::{
-    bin, bin_path, copy_store, digest, fails, files_of, furnished, ids, ok, room_count, stderr,
+    bin, bin_path, copy_store, counts, digest, fails, files_of, furnished, ids, ok, room_count,
+    stderr,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
@@ -279,15 +280,7 @@ fn a_killed_trace_goes_on_to_the_same_photons() {
         assert_eq!(digest(&tried, "photons"), photons, "seed {seed}");
         ok(bin("enfilade").arg("inspect").arg(&tried).arg("--verify"));
         // What was counted over all the runs is what one run counts.
-        let ledger = |store: &Path| {
-            let mut command = bin("enfilade");
-            let text =
-                common::stdout(&ok(command.arg("inspect").arg(store).args(["--ledger", "--json"])));
-            let value: serde_json::Value = serde_json::from_str(&text).unwrap();
-            let all = value["ledger"].as_array().unwrap().last().unwrap().clone();
-            ["emitted", "absorbed", "escaped", "stored"].map(|key| all[key].as_u64().unwrap())
-        };
-        assert_eq!(ledger(&tried), ledger(&whole));
+        assert_eq!(counts(&tried), counts(&whole));
     }
     assert!(resumed > 2, "some runs had something to go on from: {resumed}");
 }

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, digest, fails, furnished, ok, stdout};
+use common::{bin, bin_path, copy_store, counts, digest, fails, furnished, ok, stdout};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -43,12 +43,9 @@ fn end(child: Child) -> String {
 }
 
 /// What is left of a trace for later stages: photons, counts, the lights of each room by the picture made with them.
-fn outcome(store: &Path) -> (String, Vec<u64>, Vec<u8>) {
+fn outcome(store: &Path) -> (String, [u64; 4], Vec<u8>) {
     ok(bin("enfilade").arg("inspect").arg(store).arg("--verify"));
-    let text = stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--ledger", "--json"])));
-    let value: serde_json::Value = serde_json::from_str(&text).unwrap();
-    let all = value["ledger"].as_array().unwrap().last().unwrap().clone();
-    let counts = ["emitted", "absorbed", "escaped", "stored"].map(|key| all[key].as_u64().unwrap());
+    let counts = counts(store);
     assert_eq!(counts[0], counts[1] + counts[2]);
     ok(bin("enf-kdtree").arg(store).arg("--quiet"));
     let picture = store.with_extension("png");
@@ -67,7 +64,7 @@ fn outcome(store: &Path) -> (String, Vec<u64>, Vec<u8>) {
             "-o",
         ])
         .arg(&picture));
-    (digest(store, "photons"), counts.to_vec(), std::fs::read(picture).unwrap())
+    (digest(store, "photons"), counts, std::fs::read(picture).unwrap())
 }
 
 #[test]

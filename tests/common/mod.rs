@@ -310,6 +310,14 @@ pub fn run_all(scene: &Path, out: &Path, extra: &[&str]) -> PathBuf {
     out.join(format!("{stem}.enf"))
 }
 
+/// Photons of a trace that were emitted, absorbed, escaped, and stored, by its ledger.
+pub fn counts(store: &Path) -> [u64; 4] {
+    let text = stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--ledger", "--json"])));
+    let value: Value = serde_json::from_str(&text).expect("JSON");
+    let all = value["ledger"].as_array().and_then(|l| l.last()).expect("a ledger");
+    ["emitted", "absorbed", "escaped", "stored"].map(|key| all[key].as_u64().expect("a count"))
+}
+
 pub fn digest(store: &Path, kind: &str) -> String {
     stdout(&ok(bin("enfilade").arg("inspect").arg(store).args(["--digest", kind])))
         .trim()

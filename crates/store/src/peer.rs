@@ -12,7 +12,7 @@ use zerocopy::FromBytes;
 use crate::files::{self, HEADER, Named, Role};
 use crate::load::{Extent, ExtentReader};
 use crate::replay::{self, BATCH, RECORD, extent_of, finish};
-use crate::{Buffer, MemoryBudget, StoreDir, StoreError};
+use crate::{StoreDir, StoreError};
 
 /// What another process committed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -37,6 +37,9 @@ pub struct Peer {
 }
 
 impl Peer {
+    /// Bytes that [`Peer::poll`] takes for a while, but for a commit of more records than this holds.
+    pub const BYTES: u64 = 2 * BATCH * RECORD;
+
     pub(crate) fn open(
         store: &StoreDir,
         stage: StageKind,
@@ -131,17 +134,9 @@ impl Peer {
         Ok(())
     }
 
-    /// Reads one of its extents into a buffer reserved for `what`: checksum verified, inflated.
-    ///
-    /// # Errors
-    /// As [`ExtentReader::read`].
-    pub fn read(
-        &self,
-        extent: &Extent,
-        budget: &MemoryBudget,
-        what: &'static str,
-    ) -> Result<Buffer, StoreError> {
-        self.data.read(extent, budget, what)
+    /// A handle that reads its extents.
+    pub fn reader(&self) -> &ExtentReader {
+        &self.data
     }
 
     /// Makes durable what [`poll`](Self::poll) has told of: a commit can be seen a moment before it is on the disk, and what is made from

@@ -29,7 +29,7 @@ use enf_stage::{
     Selection, interrupt, parse_count, say,
 };
 use enf_store::{
-    Buffer, Extent, Identity, MemoryBudget, Reservation, StageReader, StageWriter, StoreDir,
+    Buffer, Extent, Identity, MemoryBudget, Peer, Reservation, StageReader, StageWriter, StoreDir,
     StoreError,
 };
 use enf_transport::photon::Group;
@@ -234,7 +234,7 @@ struct Queues {
     block: usize,
     photon_rows: usize,
     photon_block: usize,
-    _reservations: [Reservation; 3],
+    _reservations: [Reservation; 4],
 }
 
 impl Queues {
@@ -258,6 +258,7 @@ impl Queues {
         let photons = RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block);
         let threads = common.threads as u64;
         let jobs = per_job * (threads + 4) + Group::BYTES * threads;
+        let others = if cli.share.of > 1 { Peer::BYTES } else { 0 };
         let queues = Self {
             rows,
             block,
@@ -267,6 +268,7 @@ impl Queues {
                 budget.reserve(transit, "table of incoming photons")?,
                 budget.reserve(photons, "rows of stored photons")?,
                 budget.reserve(jobs, "photons in flight")?,
+                budget.reserve(others, "journals of other processes")?,
             ],
         };
         let reader =

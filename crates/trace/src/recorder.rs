@@ -128,7 +128,7 @@ pub(crate) struct Recorder {
     writer: StageWriter,
     share: Share,
     others: Others,
-    /// Photons of others were consumed since the last commit.
+    /// Since the last commit, photons of others were consumed, or others have consumed photons of ours.
     built_on_others: bool,
     /// How far others are with emission, by tile.
     foreign_cursors: BTreeMap<u32, u64>,
@@ -231,6 +231,8 @@ impl Recorder {
     /// Takes note of what others have committed; returns how far they are with emission.
     fn poll(&mut self) -> Result<Vec<(u32, u64)>, StoreError> {
         let news = self.others.poll(&self.writer)?;
+        // What is written down as consumed may be released: it must not outlive the commit that consumed it.
+        self.built_on_others |= !news.consumed.is_empty();
         for extent in &news.consumed {
             self.writer.consume(extent);
             if let Some(list) = self.waiting.get_mut(&extent.id) {
@@ -325,9 +327,10 @@ impl Recorder {
                 Message::Poll { now, reply } => {
                     let _ = reply.send(match now || self.others.due() {
                         true => self.poll().map(|cursors| {
-                            let own = |e: &&Extent| e.kind == ExtentKind::Transit;
-                            let in_transit =
-                                self.others.in_transit() || self.writer.extents().any(|e| own(&e));
+                            // Looked for only by who has nothing else to do.
+                            let in_transit = !now
+                                || self.others.in_transit()
+                                || self.writer.extents().any(|e| e.kind == ExtentKind::Transit);
                             Status { cursors, in_transit, ..self.status() }
                         }),
                         false => Ok(self.status()),

@@ -199,7 +199,7 @@ impl Others {
         what: &'static str,
     ) -> Option<Result<Buffer, StoreError>> {
         let peer = self.peers.iter().find(|p| p.process() == extent.process)?;
-        Some(peer.read(extent, budget, what))
+        Some(peer.reader().read(extent, budget, what))
     }
 
     /// Makes durable what has been read of others; before a commit that builds on it.

@@ -44,7 +44,7 @@ fn what_one_commits_another_reads_and_consumes() {
     let expected = [PeerEvent::Produced(first), PeerEvent::Cursor(KIND, 4, 99)];
     assert_eq!(news(&mut from_a), expected);
     assert!(news(&mut from_a).is_empty(), "it was told once");
-    assert_eq!(from_a.read(&first, &budget(), "test").unwrap()[..], bytes(1, 300)[..]);
+    assert_eq!(from_a.reader().read(&first, &budget(), "test").unwrap()[..], bytes(1, 300)[..]);
     assert!(b.read(&first, &budget(), "test").is_err(), "it is in another file");
 
     // Consumed with what is made of it, in b's journal; a is told.
@@ -74,7 +74,7 @@ fn what_one_commits_another_reads_and_consumes() {
     assert_eq!(third.offset, lost.offset);
     b.commit().unwrap();
     assert_eq!(news(&mut from_b), [PeerEvent::Produced(third)]);
-    assert_eq!(from_b.read(&third, &budget(), "test").unwrap()[..], bytes(3, 15)[..]);
+    assert_eq!(from_b.reader().read(&third, &budget(), "test").unwrap()[..], bytes(3, 15)[..]);
 
     drop(b);
     a.seal().unwrap();
