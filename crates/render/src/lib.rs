@@ -447,7 +447,7 @@ struct Driver<'a> {
     context: &'a Context<'a>,
     readers: &'a Readers<'a>,
     budget: MemoryBudget,
-    cache: TileCache,
+    cache: TileCache<'a>,
     /// Maps and light sets of rooms, with when they were last used.
     lights: BTreeMap<u32, (u64, Arc<RoomLight>)>,
     clock: u64,

@@ -4,7 +4,7 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crossbeam::channel::{Receiver, Sender, bounded};
+use crossbeam::channel::{Receiver, Sender, unbounded};
 use enf_geometry::{BvhView, GridView, Structure, StructureKind, TileMesh};
 use enf_layout::sections::Malformed;
 use enf_layout::segment::ExtentKind;
@@ -57,6 +57,7 @@ impl TileData {
 }
 
 /// Reads tiles.
+#[derive(Clone, Copy)]
 pub struct TileReader<'a> {
     /// The partition stage, for meshes.
     pub partition: &'a StageReader,
@@ -87,6 +88,19 @@ impl TileReader<'_> {
             + coordinates.iter().map(|c| c.raw_bytes).sum::<u64>())
     }
 
+    /// Bytes that loading the tile reserves at any moment, at most.
+    ///
+    /// # Errors
+    /// When the store does not have it.
+    pub fn peak_bytes(&self, tile: u32) -> Result<u64> {
+        let mesh = self.partition.single(ExtentKind::Geometry, tile)?;
+        let structure = self.structure(tile)?.1;
+        let coordinates = self.partition.find(ExtentKind::Coordinates, tile).first();
+        let both = mesh.raw_bytes + structure.raw_bytes;
+        let last = coordinates.map_or(0, |c| both + c.read_peak_bytes());
+        Ok(mesh.read_peak_bytes().max(mesh.raw_bytes + structure.read_peak_bytes()).max(last))
+    }
+
     /// Reads, verifies and inflates a tile.
     ///
     /// # Errors
@@ -115,53 +129,58 @@ impl TileReader<'_> {
     }
 }
 
-/// The cache of resident tiles. Owned by the stage's main thread; the loader runs beside it.
-pub struct TileCache {
+/// A tile that was asked for, or why it could not be had.
+pub struct Arrival {
+    tile: u32,
+    loaded: std::result::Result<TileData, StoreError>,
+}
+
+/// The cache of resident tiles. Owned by the stage's main thread; loaders run beside it.
+pub struct TileCache<'a> {
+    reader: TileReader<'a>,
     requests: Sender<u32>,
-    replies: Receiver<(u32, std::result::Result<TileData, StoreError>)>,
-    /// What was asked for and has not arrived.
-    in_flight: Option<u32>,
+    arrivals: Receiver<Arrival>,
+    /// What was asked for and has not arrived, and what it may come to reserve.
+    in_flight: BTreeMap<u32, u64>,
     resident: BTreeMap<u32, (u64, Arc<TileData>)>,
     clock: u64,
     most: usize,
-    budget: MemoryBudget,
     /// Bytes that the cache leaves to others: blocks of records that are read back.
     margin: u64,
     loads: BTreeMap<u32, u32>,
     evicted: u64,
 }
 
-impl TileCache {
-    /// A cache of at most `most` tiles (0: as many as the budget holds beside `margin` bytes), and the loop that the
-    /// loader thread runs.
-    pub fn new<'a>(
+impl<'a> TileCache<'a> {
+    /// A cache of at most `most` tiles (0: as many as the budget holds beside `margin` bytes), and the loop that a
+    /// loader thread runs; any number of threads may run it.
+    pub fn new(
         reader: TileReader<'a>,
         most: usize,
         margin: u64,
         timeline: &'a Timeline,
-    ) -> (Self, impl FnOnce() + Send + 'a) {
-        let budget = reader.budget.clone();
-        let (requests, incoming) = bounded::<u32>(1);
-        let (outgoing, replies) = bounded(1);
+    ) -> (Self, impl FnOnce() + Clone + Send + 'a) {
+        let (requests, incoming) = unbounded::<u32>();
+        let (outgoing, arrivals) = unbounded();
         let lane = move || {
             let handle = timeline.lane("loader");
             for tile in incoming {
                 let span = handle.io("load", tile);
                 let loaded = reader.load(tile);
                 drop(span);
-                if outgoing.send((tile, loaded)).is_err() {
+                if outgoing.send(Arrival { tile, loaded }).is_err() {
                     break;
                 }
             }
         };
         let cache = Self {
+            reader,
             requests,
-            replies,
-            in_flight: None,
+            arrivals,
+            in_flight: BTreeMap::new(),
             resident: BTreeMap::new(),
             clock: 0,
             most,
-            budget,
             margin,
             loads: BTreeMap::new(),
             evicted: 0,
@@ -174,59 +193,124 @@ impl TileCache {
         self.resident.contains_key(&tile)
     }
 
-    /// Asks for a tile ahead of its use, where that evicts nothing that is in use.
-    ///
-    /// # Errors
-    /// A tile that arrived in the meantime and could not be read.
-    pub fn prefetch(&mut self, tile: u32) -> Result<()> {
-        if self.in_flight.is_some() || self.most == 1 || self.is_resident(tile) {
-            return Ok(());
-        }
-        self.keep_margin();
-        self.make_room(1);
-        self.request(tile)
+    /// Whether the tile was asked for and has not arrived.
+    pub fn is_in_flight(&self, tile: u32) -> bool {
+        self.in_flight.contains_key(&tile)
     }
 
-    fn request(&mut self, tile: u32) -> Result<()> {
-        self.requests.send(tile).map_err(|_| Failure::io("the loader thread has stopped"))?;
-        self.in_flight = Some(tile);
+    /// Tiles that were asked for and have not arrived.
+    pub fn in_flight(&self) -> usize {
+        self.in_flight.len()
+    }
+
+    /// The resident tiles, in order of their ids.
+    pub fn residents(&self) -> impl Iterator<Item = u32> + '_ {
+        self.resident.keys().copied()
+    }
+
+    /// The resident tiles, the last used first.
+    pub fn recent(&self) -> Vec<u32> {
+        let mut tiles: Vec<(u64, u32)> =
+            self.resident.iter().map(|(&tile, &(used, _))| (used, tile)).collect();
+        tiles.sort_unstable_by(|a, b| b.cmp(a));
+        tiles.into_iter().map(|(_, tile)| tile).collect()
+    }
+
+    /// The tile, if it is in memory; it counts as used now.
+    pub fn resident(&mut self, tile: u32) -> Option<Arc<TileData>> {
+        self.clock += 1;
+        let (used, data) = self.resident.get_mut(&tile)?;
+        *used = self.clock;
+        Some(Arc::clone(data))
+    }
+
+    /// Asks for a tile ahead of its use, where that evicts nothing that is in use: to be told of in [`Self::arrivals`].
+    ///
+    /// # Errors
+    /// The loaders have stopped.
+    pub fn prefetch(&mut self, tile: u32) -> Result<()> {
+        self.ask(tile, &|_| true).map(|_| ())
+    }
+
+    /// Asks for a tile if it fits beside all that is in use, in flight, or not `idle`; whether it does.
+    ///
+    /// # Errors
+    /// The loaders have stopped; a tile that the store does not have.
+    pub fn ask(&mut self, tile: u32, idle: &dyn Fn(u32) -> bool) -> Result<bool> {
+        if self.is_in_flight(tile) || self.is_resident(tile) {
+            return Ok(true);
+        }
+        let needs = self.reader.peak_bytes(tile)?;
+        let coming = self.in_flight.values().sum::<u64>() + needs + self.margin;
+        loop {
+            let count = self.resident.len() + self.in_flight.len() + 1;
+            if self.reader.budget.available() >= coming && (self.most == 0 || count <= self.most) {
+                break;
+            }
+            if !self.evict(idle) {
+                return Ok(false);
+            }
+        }
+        self.request(tile, needs)?;
+        Ok(true)
+    }
+
+    fn request(&mut self, tile: u32, needs: u64) -> Result<()> {
+        self.requests.send(tile).map_err(|_| stopped())?;
+        self.in_flight.insert(tile, needs);
         Ok(())
     }
 
+    /// Where tiles arrive; each arrival goes to [`Self::arrived`].
+    pub fn arrivals(&self) -> &Receiver<Arrival> {
+        &self.arrivals
+    }
+
+    /// Takes in what has arrived. A tile that found no room is not there then.
+    ///
+    /// # Errors
+    /// Exit 4 when it is damaged, exit 5 when it cannot be read.
+    pub fn arrived(&mut self, arrival: Arrival) -> Result<()> {
+        let Arrival { tile, loaded } = arrival;
+        self.in_flight.remove(&tile);
+        match loaded {
+            Ok(data) => {
+                self.clock += 1;
+                *self.loads.entry(tile).or_default() += 1;
+                self.resident.insert(tile, (self.clock, Arc::new(data)));
+                Ok(())
+            }
+            Err(StoreError::Budget(_)) => Ok(()),
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn receive(&self) -> Result<Arrival> {
+        self.arrivals.recv().map_err(|_| stopped())
+    }
+
     /// Evicts least recently used tiles that nobody holds until the margin is free.
-    fn keep_margin(&mut self) {
-        while self.budget.available() < self.margin {
-            if !self.evict_one() {
+    pub fn keep_margin(&mut self) {
+        while self.reader.budget.available() < self.margin {
+            if !self.evict(&|_| true) {
                 break;
             }
         }
     }
 
-    /// Evicts least recently used tiles until at most `most` less `coming` stay.
-    fn make_room(&mut self, coming: usize) {
-        while self.most > 0 && self.resident.len() + coming > self.most {
-            if !self.evict_one() {
-                break;
-            }
-        }
-    }
-
-    fn evict_one(&mut self) -> bool {
-        // A tile that someone holds is in use; dropping it from the cache would free nothing.
+    /// Evicts the tile that was used longest ago among those that are idle and that nobody holds; dropping one that someone
+    /// holds would free nothing.
+    fn evict(&mut self, idle: &dyn Fn(u32) -> bool) -> bool {
         let oldest = self
             .resident
             .iter()
-            .filter(|(_, (_, data))| Arc::strong_count(data) == 1)
+            .filter(|&(&tile, (_, data))| Arc::strong_count(data) == 1 && idle(tile))
             .min_by_key(|(_, (used, _))| *used)
             .map(|(&tile, _)| tile);
-        match oldest {
-            Some(tile) => {
-                self.resident.remove(&tile);
-                self.evicted += 1;
-                true
-            }
-            None => false,
-        }
+        let Some(tile) = oldest else { return false };
+        self.resident.remove(&tile);
+        self.evicted += 1;
+        true
     }
 
     /// The tile, loaded now if it must be. Tiles that nobody holds make way until the budget has room.
@@ -234,33 +318,29 @@ impl TileCache {
     /// # Errors
     /// Exit 3 when it does not fit even alone, naming the tile's need; exit 4 when it is damaged.
     pub fn get(&mut self, tile: u32) -> Result<Arc<TileData>> {
-        self.clock += 1;
         loop {
-            if let Some((used, data)) = self.resident.get_mut(&tile) {
-                *used = self.clock;
-                let data = Arc::clone(data);
+            if let Some(data) = self.resident(tile) {
                 self.keep_margin();
                 return Ok(data);
             }
-            if self.in_flight.is_none() {
-                self.make_room(1);
-                self.request(tile)?;
+            if !self.is_in_flight(tile) {
+                while self.most > 0
+                    && self.resident.len() + self.in_flight.len() + 1 > self.most
+                    && self.evict(&|_| true)
+                {}
+                self.request(tile, self.reader.peak_bytes(tile)?)?;
             }
-            let (arrived, loaded) =
-                self.replies.recv().map_err(|_| Failure::io("the loader thread has stopped"))?;
-            self.in_flight = None;
-            match loaded {
-                Ok(data) => {
-                    *self.loads.entry(arrived).or_default() += 1;
-                    if arrived != tile {
-                        self.make_room(2);
+            let arrival = self.receive()?;
+            match &arrival.loaded {
+                // What nobody holds makes way, and what is in flight may have to be let go again.
+                Err(StoreError::Budget(error)) if arrival.tile == tile => {
+                    let error = error.clone();
+                    self.in_flight.remove(&tile);
+                    if !self.evict(&|_| true) && self.in_flight.is_empty() {
+                        return Err(StoreError::Budget(error).into());
                     }
-                    self.resident.insert(arrived, (self.clock, Arc::new(data)));
                 }
-                Err(StoreError::Budget(_)) if self.evict_one() => {}
-                // A prefetch that found no room is no error, only no use.
-                Err(StoreError::Budget(_)) if arrived != tile => {}
-                Err(error) => return Err(error.into()),
+                _ => self.arrived(arrival)?,
             }
         }
     }
@@ -270,15 +350,14 @@ impl TileCache {
     /// # Errors
     /// The tile that was fetched ahead could not be read.
     pub fn make_way(&mut self) -> Result<bool> {
-        if self.evict_one() {
+        if self.evict(&|_| true) {
             return Ok(true);
         }
-        if self.in_flight.is_none() {
+        if self.in_flight.is_empty() {
             return Ok(false);
         }
-        let (_, loaded) =
-            self.replies.recv().map_err(|_| Failure::io("the loader thread has stopped"))?;
-        self.in_flight = None;
+        let Arrival { tile, loaded } = self.receive()?;
+        self.in_flight.remove(&tile);
         match loaded {
             Ok(_) | Err(StoreError::Budget(_)) => Ok(true),
             Err(error) => Err(error.into()),
@@ -289,4 +368,8 @@ impl TileCache {
     pub fn loads(&self) -> &BTreeMap<u32, u32> {
         &self.loads
     }
+}
+
+fn stopped() -> Failure {
+    Failure::io("the loader thread has stopped")
 }

@@ -3,19 +3,26 @@
 //! The paper takes the room with the most photons waiting (Fradin et al. 2005, section 5.2). That
 //! is good when every visit costs a load; but a tile that is still resident costs none, and the
 //! paper's own outlook asks for just that. So the default takes what is resident as long as anything
-//! waits there, and goes by the most work otherwise: what is left behind has to be loaded again for
-//! the sake of a few photons, which takes longer than to trace thousands.
+//! waits there: what is left behind has to be loaded again for the sake of a few photons, which takes
+//! longer than to trace thousands. When a tile has to be loaded, it is a neighbour of those that were
+//! visited last, if enough waits there, so that light goes to and fro among tiles that are in memory
+//! together; only then the tile with the most work.
 //!
 //! Purely a matter of time: which tile comes first changes no photon.
 
 use clap::ValueEnum;
+
+use crate::neighbours::Neighbours;
+
+/// A neighbour is worth loading before its time if it has this part of the work of the busiest tile.
+const WORTH_LOADING: u64 = 100;
 
 /// How the next tile is chosen (`--schedule`).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Schedule {
     /// The tile with the most work, as in the paper.
     MostWork,
-    /// The resident tile with the most work; else the tile with the most work.
+    /// The resident tile with the most work; else a neighbour of the last ones; else the tile with the most work.
     #[default]
     ResidentFirst,
 }
@@ -132,6 +139,76 @@ impl Scheduler {
             .filter(|&(work, _)| work > 0)
             .max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1)));
         Some(best.map_or(global, |(_, tile)| tile))
+    }
+
+    /// Whether what is resident comes before what is not.
+    pub fn prefers_residents(&self) -> bool {
+        self.schedule == Schedule::ResidentFirst
+    }
+
+    /// The tile to visit next among those that are not `busy`, if that one is resident: `residents` are those that are, in any order.
+    pub fn next_visit(
+        &self,
+        residents: impl IntoIterator<Item = u32>,
+        busy: &dyn Fn(u32) -> bool,
+    ) -> Option<u32> {
+        let idle = residents.into_iter().filter(|&tile| self.pending(tile) > 0 && !busy(tile));
+        match self.schedule {
+            Schedule::MostWork => {
+                let busiest = self.busiest_except(busy)?;
+                idle.into_iter().find(|&tile| tile == busiest)
+            }
+            Schedule::ResidentFirst => {
+                idle.max_by(|&a, &b| self.pending(a).cmp(&self.pending(b)).then(b.cmp(&a)))
+            }
+        }
+    }
+
+    /// The tile to load next among those that are not `excluded` (resident, or being loaded). `recent` are the
+    /// resident tiles, the last used first.
+    pub fn next_load(
+        &self,
+        recent: impl IntoIterator<Item = u32>,
+        neighbours: &Neighbours,
+        excluded: &dyn Fn(u32) -> bool,
+    ) -> Option<u32> {
+        let busiest = self.busiest_except(excluded)?;
+        if self.schedule == Schedule::MostWork {
+            return Some(busiest);
+        }
+        let least = (self.pending(busiest) / WORTH_LOADING).max(1);
+        let near = recent.into_iter().find_map(|tile| {
+            let near = neighbours.of(tile).iter().copied();
+            near.filter(|&t| self.pending(t) >= least && !excluded(t))
+                .max_by(|&a, &b| self.pending(a).cmp(&self.pending(b)).then(b.cmp(&a)))
+        });
+        Some(near.unwrap_or(busiest))
+    }
+
+    /// The tile with the most work that is not excluded, the lowest of equals.
+    fn busiest_except(&self, excluded: &dyn Fn(u32) -> bool) -> Option<u32> {
+        // Depth first, the busier branch first; a branch without more than what was found is left out.
+        let (mut best, mut most) = (None, 0);
+        let mut nodes = vec![1];
+        while let Some(node) = nodes.pop() {
+            if self.most[node] < most || self.most[node] == 0 {
+                continue;
+            }
+            if node >= self.width {
+                let tile = (node - self.width) as u32;
+                let better = self.most[node] > most || best.is_some_and(|b| tile < b);
+                if better && !excluded(tile) {
+                    (best, most) = (Some(tile), self.most[node]);
+                }
+                continue;
+            }
+            let (left, right) = (2 * node, 2 * node + 1);
+            match self.most[left] >= self.most[right] {
+                true => nodes.extend([right, left]),
+                false => nodes.extend([left, right]),
+            }
+        }
+        best
     }
 
     /// The tile with the most work, the lowest of equals.

@@ -6,6 +6,7 @@
 #![forbid(unsafe_code)]
 
 mod counts;
+mod driver;
 mod recorder;
 mod share;
 mod tracer;
@@ -17,41 +18,33 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use clap::Args;
-use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
+use crossbeam::channel::{bounded, unbounded};
 use enf_layout::photon::PhotonRecord;
 use enf_layout::segment::StageKind;
 use enf_layout::transit::TransitRecord;
-use enf_stage::resident::{STRUCTURES, TileCache, TileData, TileReader};
+use enf_stage::resident::{STRUCTURES, TileCache, TileReader};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
-    CommonArgs, Failure, IdSink, IdSource, Progress, Result, RowTable, Schedule, Scheduler,
-    Selection, interrupt, parse_count, say,
+    CommonArgs, Failure, IdSink, IdSource, Neighbours, Result, RowTable, Schedule, Scheduler,
+    Selection, parse_count, say,
 };
 use enf_store::{
-    Buffer, Extent, Identity, MemoryBudget, Peer, Reservation, StageReader, StageWriter, StoreDir,
-    StoreError,
+    Identity, MemoryBudget, Peer, Reservation, StageReader, StageWriter, StoreDir, StoreError,
 };
 use enf_transport::photon::Group;
 use enf_transport::sky::{Daylight, MOST_AIMED, Shell};
 
 pub use counts::{Counts, PhotonCount};
+use driver::{Channels, Driver, JOB_PHOTONS, Manner};
 pub use recorder::Totals;
-use recorder::{Message, Recorder, Status, Taken};
+use recorder::{Message, Recorder};
 pub use share::Share;
 pub use tracer::add_ledger;
-use tracer::{Context, Job, PROBES_PER_LIGHT, Waiting, Work};
+use tracer::{Context, Job};
 
-/// Photons of one job: long enough to make its overhead small, short enough to share among threads.
-const JOB_PHOTONS: u64 = 4096;
-/// Photons of one visit, after which the scheduler may think again and a commit is possible.
-const VISIT_PHOTONS: u64 = 1 << 20;
-/// A kill loses at most these bytes of work, or the time that `--epoch` says.
-const EPOCH_BYTES: u64 = 256 << 20;
 /// Most time between commits when others wait for them.
 const SHARED_EPOCH: Duration = Duration::from_secs(1);
-/// Who is waited for is said this often.
-const SAY_EVERY: Duration = Duration::from_secs(10);
 /// Default rows and records per row of the table of incoming photons (the paper, section 7.2).
 const QUEUE_ROWS: usize = 64;
 const QUEUE_BLOCK: usize = 10_000;
@@ -293,6 +286,8 @@ fn trace(
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
     let (daylight, _daylight) = daylight(tables, &budget)?;
+    let neighbours = Neighbours::bytes(tables);
+    let _neighbours = budget.reserve(neighbours, "neighbours of tiles")?;
     let aimed = if daylight.is_some() { Group::SIZE * MOST_AIMED } else { 0 };
     let aimed = aimed * size_of::<TransitRecord>() * common.threads;
     let _aimed = budget.reserve(aimed as u64, "photons aimed at openings")?;
@@ -323,17 +318,20 @@ fn trace(
         budget: &budget,
         delta: tables.scene.delta,
     };
-    let (jobs, take_job) = bounded::<Job>(common.threads * 2);
-    let (done, finished) = unbounded::<std::result::Result<(), Failure>>();
+    // Each thread has a job at hand while it works at one, and the main thread one to give.
+    let at_once = common.threads * 3;
+    let (jobs, take_job) = bounded::<Job>(at_once);
+    let (done, finished) = unbounded::<driver::Done>();
     let (messages, mailbox) = bounded::<Message>(common.threads * 2 + 2);
     let timeline = &session.timeline;
-    // Blocks read back: one for each job that may be under way, and what the loader holds for a moment.
-    let margin = (block * size_of::<TransitRecord>() * (common.threads * 3 + 2)) as u64 + (2 << 20);
+    // Blocks read back: one for each job that may be under way, and what the loaders hold for a moment.
+    let margin = (block * size_of::<TransitRecord>() * (at_once + 2)) as u64 + (2 << 20);
     let (cache, load) = TileCache::new(reader, queue.resident_rooms.0, margin, timeline);
 
     let (waited, began) = (AtomicU64::new(0), Instant::now());
     let (recorder, driven) = std::thread::scope(|scope| {
-        let loader = scope.spawn(load);
+        let loaders: Vec<_> = (0..common.threads).map(|_| scope.spawn(load.clone())).collect();
+        drop(load);
         let recording = scope.spawn(|| recorder.serve(&mailbox, &timeline.lane("recorder")));
         for thread in 0..common.threads {
             let (take_job, done, messages) = (take_job.clone(), done.clone(), messages.clone());
@@ -343,7 +341,8 @@ fn trace(
                 let mut group = Group::default();
                 let mut waiting = Waits::default();
                 while let Ok(job) = waiting.during(&lane, "wait for work", || take_job.recv()) {
-                    let span = lane.span("trace", job.tile.tile);
+                    let tile = job.tile.tile;
+                    let span = lane.span("trace", tile);
                     let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
                         context.run(&job, &mut group)
                     }));
@@ -359,7 +358,7 @@ fn trace(
                         Ok(Err(malformed)) => Err(StoreError::from(malformed).into()),
                         Err(_) => Err(Failure::internal("a tracing thread failed")),
                     };
-                    if done.send(result).is_err() {
+                    if done.send((tile, result)).is_err() {
                         break;
                     }
                 }
@@ -367,28 +366,32 @@ fn trace(
             });
         }
         drop((take_job, done));
-        let mut driver = Driver {
+        let driver = Driver::new(
             common,
-            context: &context,
+            &context,
             cache,
-            jobs,
-            finished,
-            messages,
-            block,
-            // Others wait for what they can see only when it is committed.
-            epoch: if share.of > 1 { cli.trace.epoch.min(SHARED_EPOCH) } else { cli.trace.epoch },
-            share,
+            Channels { jobs, finished, messages },
+            Manner {
+                block,
+                // Others wait for what they can see only when it is committed.
+                epoch: if share.of > 1 {
+                    cli.trace.epoch.min(SHARED_EPOCH)
+                } else {
+                    cli.trace.epoch
+                },
+                jobs: at_once as u64,
+                ahead: common.threads + 1,
+                share,
+            },
             cursors,
-            scheduler: Scheduler::new(queue.schedule, tables.tiles().len() as u32),
-            lane: timeline.lane("schedule"),
-        };
+            Scheduler::new(queue.schedule, tables.tiles().len() as u32),
+            timeline.lane("schedule"),
+        );
+        // It closes all channels when it ends; then the threads end.
         let driven = driver.drive(&waiting);
-        let loads = driver.cache.loads().clone();
-        // Dropping the driver closes all channels; the threads end.
-        drop(driver);
         let recorder = recording.join().map_err(|_| Failure::internal("the recorder failed"));
-        let _ = loader.join();
-        (recorder, driven.map(|()| loads))
+        loaders.into_iter().for_each(|loader| drop(loader.join()));
+        (recorder, driven)
     });
     let tracers_s = began.elapsed().as_secs_f64() * common.threads as f64;
     let waited_s = waited.into_inner() as f64 / 1e9;
@@ -418,250 +421,6 @@ impl Waits {
         let result = wait();
         self.0 += since.elapsed();
         result
-    }
-}
-
-/// The main thread: chooses tiles, hands out jobs, commits.
-struct Driver<'a> {
-    common: &'a CommonArgs,
-    context: &'a Context<'a>,
-    cache: TileCache,
-    jobs: Sender<Job>,
-    finished: Receiver<std::result::Result<(), Failure>>,
-    messages: Sender<Message>,
-    block: usize,
-    epoch: Duration,
-    share: Share,
-    cursors: BTreeMap<u32, u64>,
-    scheduler: Scheduler,
-    lane: enf_stage::Lane,
-}
-
-impl Driver<'_> {
-    /// Starts of a tile: every light that may start there, all its photons and probes.
-    fn starts(&self, tile: u32) -> u64 {
-        self.context.tables.lights_of(tile).iter().map(|&light| self.starts_of(light)).sum()
-    }
-
-    /// A light's photons, then its probes.
-    fn starts_of(&self, light: u32) -> u64 {
-        self.context.counts.of(light) + PROBES_PER_LIGHT
-    }
-
-    fn ask<T>(&self, message: impl FnOnce(Sender<T>) -> Message) -> Result<T> {
-        let (reply, answer) = bounded(1);
-        self.messages
-            .send(message(reply))
-            .ok()
-            .and_then(|()| answer.recv().ok())
-            .ok_or_else(|| Failure::internal("the recorder has stopped"))
-    }
-
-    fn drive(&mut self, waiting: &BTreeMap<u32, u64>) -> Result<()> {
-        let tables = self.context.tables;
-        for tile in (0..tables.tiles().len() as u32).filter(|&tile| self.share.owns(tile)) {
-            let left = self.starts(tile) - self.cursors.get(&tile).copied().unwrap_or(0);
-            let pending = left + waiting.get(&tile).copied().unwrap_or(0);
-            if pending > 0 {
-                self.scheduler.add(tile, pending);
-            }
-        }
-        let emitted_w: f64 = tables
-            .lights()
-            .iter()
-            .map(|l| l.flux_w.iter().map(|&c| f64::from(c)).sum::<f64>())
-            .sum();
-        let total = self.context.counts.total(tables.lights().len());
-        let progress = Progress::new(self.common, "trace", Some(total), "photons");
-        loop {
-            let cache = &self.cache;
-            let Some(tile) = self.scheduler.next(&|t| cache.is_resident(t)) else {
-                if self.share.of == 1 || self.wait_for_others()? {
-                    break;
-                }
-                continue;
-            };
-            if let Some(signal) = interrupt::interrupted() {
-                self.ask(|reply| Message::Commit { reply })??;
-                return Err(Failure::interrupted(signal));
-            }
-            let pending = self.scheduler.take(tile);
-            let data = self.cache.get(tile)?;
-            let cache = &self.cache;
-            if let Some(next) = self.scheduler.next(&|t| cache.is_resident(t)) {
-                self.cache.prefetch(next)?;
-            }
-            let visited = self.visit(tile, &data);
-            drop(data);
-            let (status, left) = visited?;
-            if let Some(error) = status.failure {
-                return Err(error.into());
-            }
-            for (&to, &count) in &status.parked {
-                self.scheduler.add(to, count);
-            }
-            if left > 0 {
-                self.scheduler.add(tile, left.min(pending));
-            }
-            progress.set(status.finished);
-            progress.message(&format!(
-                "room {}, {:.1} % of the flux not at its end",
-                tables.tiles()[tile as usize].room,
-                100.0 * (1.0 - status.finished_w / emitted_w.max(f64::MIN_POSITIVE)).max(0.0)
-            ));
-            if self.share.of > 1 {
-                self.take_news(false)?;
-            }
-            if status.uncommitted > EPOCH_BYTES
-                || (status.uncommitted > 0 && status.committed_at.elapsed() > self.epoch)
-            {
-                let _span = self.lane.io("commit", 0u32);
-                self.ask(|reply| Message::Commit { reply })??;
-            }
-        }
-        progress.finish();
-        Ok(())
-    }
-
-    /// What others have parked here and how far they are, at once or when it is time to look; whether anything is in transit anywhere.
-    fn take_news(&mut self, now: bool) -> Result<bool> {
-        let status = self.ask(|reply| Message::Poll { now, reply })??;
-        if let Some(error) = status.failure {
-            return Err(error.into());
-        }
-        for (&to, &count) in &status.parked {
-            self.scheduler.add(to, count);
-        }
-        for &(tile, value) in &status.cursors {
-            let known = self.cursors.entry(tile).or_default();
-            *known = value.max(*known);
-        }
-        Ok(status.in_transit)
-    }
-
-    /// Nothing is left to do here: shows others what was done, and waits until there is something again (false) or the trace has ended everywhere
-    /// (true).
-    fn wait_for_others(&mut self) -> Result<bool> {
-        self.ask(|reply| Message::Commit { reply })??;
-        let (mut pause, mut said) = (Duration::from_millis(5), Instant::now());
-        loop {
-            let in_transit = self.take_news(true)?;
-            if self.scheduler.total() > 0 {
-                return Ok(false);
-            }
-            let done =
-                |tile: &u32| self.cursors.get(tile).copied().unwrap_or(0) == self.starts(*tile);
-            let late = (0..self.context.tables.tiles().len() as u32).find(|tile| !done(tile));
-            if late.is_none() && !in_transit {
-                return Ok(true);
-            }
-            if let Some(signal) = interrupt::interrupted() {
-                self.ask(|reply| Message::Commit { reply })??;
-                return Err(Failure::interrupted(signal));
-            }
-            if said.elapsed() > SAY_EVERY {
-                said = Instant::now();
-                let of = self.share.of;
-                say(
-                    self.common,
-                    match late {
-                        Some(tile) => format!("waiting for --share {}/{of}", tile % of),
-                        None => "waiting for photons that other processes have taken up".into(),
-                    },
-                );
-            }
-            let span = self.lane.io("wait for other processes", 0u32);
-            std::thread::sleep(pause);
-            drop(span);
-            pause = (2 * pause).min(share::POLL_EVERY);
-        }
-    }
-
-    /// Hands out what waits at the tile and what starts there, at most [`VISIT_PHOTONS`]; returns what is left.
-    fn visit(&mut self, tile: u32, data: &Arc<TileData>) -> Result<(Status, u64)> {
-        let Taken { memory, extents } = self.ask(|reply| Message::Take { tile, reply })?;
-        let mut flying = 0;
-        let mut handed = memory.len() as u64;
-        let mut outcome = Ok(());
-        if !memory.is_empty() {
-            outcome = self.hand_out(data, Waiting::Memory(memory), &mut flying);
-        }
-        let mut extents = extents.into_iter();
-        let mut consumed: Vec<Extent> = Vec::new();
-        while outcome.is_ok() && handed < VISIT_PHOTONS {
-            let Some(extent) = extents.next() else { break };
-            handed += extent.count;
-            outcome = self
-                .read_back(extent, &mut flying)
-                .and_then(|buffer| self.hand_out(data, Waiting::Log(buffer), &mut flying));
-            consumed.push(extent);
-        }
-        let unused: Vec<Extent> = extents.collect();
-        let starts = self.starts(tile);
-        let mut cursor = self.cursors.get(&tile).copied().unwrap_or(0);
-        let lights = self.context.tables.lights_of(tile);
-        let (mut at, mut first) = self.context.counts.place(lights, PROBES_PER_LIGHT, cursor);
-        while outcome.is_ok() && at < lights.len() && handed < VISIT_PHOTONS {
-            let light = lights[at];
-            let count = JOB_PHOTONS.min(self.starts_of(light) - first);
-            let work = Work::Emission { light, indices: first..first + count };
-            outcome = self.send(Job { tile: Arc::clone(data), work }, &mut flying);
-            cursor += count;
-            handed += count;
-            first += count;
-            if first >= self.starts_of(light) {
-                (at, first) = (at + 1, 0);
-            }
-        }
-        self.cursors.insert(tile, cursor);
-        // Every job that was handed out must come back, whatever went wrong.
-        while flying > 0 {
-            let result = self
-                .finished
-                .recv()
-                .unwrap_or_else(|_| Err(Failure::internal("the tracing threads have stopped")));
-            flying -= 1;
-            outcome = outcome.and(result);
-        }
-        outcome?;
-        let left = starts - cursor + unused.iter().map(|e| e.count).sum::<u64>();
-        let cursor = (starts > 0).then_some((tile, cursor));
-        let unused = (tile, unused);
-        let status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
-        Ok((status, left))
-    }
-
-    /// Photons from the log. Tiles that nobody needs make way for them, and then the jobs that are under way.
-    fn read_back(&mut self, extent: Extent, flying: &mut u64) -> Result<Buffer> {
-        loop {
-            match self.ask(|reply| Message::Read { extent, reply })? {
-                Err(StoreError::Budget(_)) if self.cache.make_way()? => {}
-                Err(StoreError::Budget(_)) if *flying > 0 => {
-                    *flying -= 1;
-                    let stopped = |_| Err(Failure::internal("the tracing threads have stopped"));
-                    self.finished.recv().unwrap_or_else(stopped)?;
-                }
-                other => return Ok(other?),
-            }
-        }
-    }
-
-    fn hand_out(&self, data: &Arc<TileData>, records: Waiting, flying: &mut u64) -> Result<()> {
-        let records = Arc::new(records);
-        let count = records.records().len();
-        let step = (JOB_PHOTONS as usize).min(self.block.max(256));
-        for first in (0..count).step_by(step) {
-            let range = first..(first + step).min(count);
-            let work = Work::Waiting { records: Arc::clone(&records), range };
-            self.send(Job { tile: Arc::clone(data), work }, flying)?;
-        }
-        Ok(())
-    }
-
-    fn send(&self, job: Job, flying: &mut u64) -> Result<()> {
-        self.jobs.send(job).map_err(|_| Failure::internal("the tracing threads have stopped"))?;
-        *flying += 1;
-        Ok(())
     }
 }
 
