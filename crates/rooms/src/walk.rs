@@ -193,6 +193,41 @@ impl<'a> Bsp<'a> {
         self.descend(self.root(), point, direction, 0.0)
     }
 
+    /// Whether a hit at `t` of a ray that is in `leaf` belongs to this leaf: what `t < exit(..).t_accept` asks, without a division.
+    /// It may say no where that says yes, to rounding.
+    pub fn accepts(&self, leaf: u32, origin: DVec3, direction: DVec3, t: f32) -> bool {
+        let t = f64::from(t);
+        self.outward(leaf).all(|(n, offset)| {
+            let sd = n.dot(direction);
+            sd <= 0.0 || (n.dot(origin) - offset) + t * sd < self.delta
+        })
+    }
+
+    /// Whether it is plain that `point`, which lies in `leaf` or next to it, belongs to that leaf, and a ray along the unit vector
+    /// `direction` starts in it as well: then [`Self::locate`] and [`Self::locate_towards`] give that leaf and need not be asked.
+    ///
+    /// Faces that are dropped do not hide another answer. With `n` the outward normal of a dropped half-space, `a_i` those of the
+    /// faces, linear programming gives weights `w_i >= 0` with `n = sum w_i a_i`, so `sum w_i >= 1`; a point that is `s` inside of
+    /// each face is at least `s` inside of the dropped one. If it is near the dropped plane it is near all faces of large
+    /// weight, and `direction`, which leads clearly away from those, leads away from that plane.
+    pub fn keeps(&self, leaf: u32, point: DVec3, direction: DVec3) -> bool {
+        let (clearly, far) = (-self.delta / 16.0, -16.0 * self.delta);
+        self.outward(leaf).all(|(n, offset)| {
+            let s = n.dot(point) - offset;
+            s < far || (s < clearly && n.dot(direction) < -0.25)
+        })
+    }
+
+    /// The outward half-spaces of a leaf: unit normal and offset.
+    fn outward(&self, leaf: u32) -> impl Iterator<Item = (DVec3, f64)> {
+        let leaf = &self.leaves[leaf as usize];
+        let first = leaf.first_face as usize;
+        self.faces[first..first + leaf.face_count as usize].iter().map(|face| {
+            let (n, offset) = self.plane(face.plane & !FACE_IN_FRONT);
+            if face.plane & FACE_IN_FRONT == 0 { (n, offset) } else { (-n, -offset) }
+        })
+    }
+
     /// Where the ray `origin + t direction` that entered `leaf` at `t_in` leaves it.
     ///
     /// `leaf` must be below the number of leaves. Among faces met at the same `t` the first counts.

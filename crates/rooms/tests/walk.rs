@@ -97,6 +97,9 @@ fn check(triangles: &[Triangle], tables: &Tables, rays: &[(DVec3, DVec3)]) {
         let expected = nearest(triangles, 0..all, o, d, f32::INFINITY);
         assert_eq!(walk(&bsp, tables, triangles, o, d), expected, "from {o} along {d}");
     }
+    for &(o, d) in rays {
+        shortcuts(&bsp, o, d);
+    }
     // No triangle is lost, and each is in the tile of its own points.
     let mut seen = vec![false; triangles.len()];
     for &i in &tables.tile_triangles {
@@ -124,6 +127,51 @@ fn check(triangles: &[Triangle], tables: &Tables, rays: &[(DVec3, DVec3)]) {
     for leaf in &tables.leaves {
         assert_eq!(tables.tiles[leaf.tile as usize].room, leaf.room);
     }
+}
+
+/// What [`Bsp::keeps`] and [`Bsp::accepts`] say goes for every leaf and for points as near to planes as photons start. Returns how
+/// often the first said yes.
+fn shortcuts(bsp: &Bsp<'_>, o: DVec3, d: DVec3) -> usize {
+    let d = d.normalize();
+    let lift = f64::from(DELTA) / 4.0;
+    let mut kept = 0;
+    for step in [DVec3::ZERO, DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z] {
+        let p = o + step * lift;
+        for leaf in 0..bsp.leaves.len() as u32 {
+            if bsp.keeps(leaf, p, d) {
+                kept += 1;
+                assert_eq!(bsp.locate(p), leaf, "{p}");
+                assert_eq!(bsp.locate_towards(p, d), leaf, "{p} along {d}");
+            }
+            let exit = bsp.exit(leaf, p, d, 0.0);
+            for t in [exit.t_accept.next_down(), exit.t_accept, exit.t_exit, 1.0] {
+                if bsp.accepts(leaf, p, d, t) {
+                    // The same but for the rounding of a division.
+                    assert!(t <= exit.t_accept.next_up(), "{t} {exit:?}");
+                }
+            }
+        }
+    }
+    kept
+}
+
+#[test]
+fn a_photon_off_a_wall_mostly_stays_in_its_leaf() {
+    let wall = [[5.0, 0.0, 0.0], [5.0, 10.0, 0.0], [5.0, 10.0, 10.0]];
+    let mut options = options();
+    options.hints.push(Hint { min: [5.0, 0.0, 0.0], max: [10.0; 3], polygon: Vec::new() });
+    let tables = partition(&[wall], &|_| true, &options).unwrap().finish(&[wall]);
+    let bsp =
+        Bsp::new(&tables.planes, &tables.nodes, &tables.leaves, &tables.faces, f64::from(DELTA))
+            .unwrap();
+    let at = |lift: f64| DVec3::new(5.0 + lift, 4.0, 4.0);
+    let lift = f64::from(DELTA) / 4.0;
+    let towards = |x: f64| DVec3::new(x, 0.6, 0.1).normalize();
+    assert!(shortcuts(&bsp, at(lift), towards(1.0)) > 0);
+    // Along the wall, or on the plane, it has to be looked for.
+    let leaf = bsp.locate(at(lift));
+    assert!(bsp.keeps(leaf, at(lift), towards(1.0)) && bsp.keeps(leaf, at(1.0), towards(-1.0)));
+    assert!(!bsp.keeps(leaf, at(lift), towards(0.1)) && !bsp.keeps(leaf, at(0.0), towards(1.0)));
 }
 
 fn coordinate() -> impl Strategy<Value = f32> {

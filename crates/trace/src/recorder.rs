@@ -21,7 +21,7 @@ use zerocopy::{FromBytes, IntoBytes};
 
 use crate::counts::Counts;
 use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, Share};
-use crate::tracer::{Products, Tally, add_ledger, empty_ledger};
+use crate::tracer::{Epoch, Products, add_ledger, empty_ledger};
 
 /// Photons in transit that were consumed are given back to the file system when they have so many bytes. It is not done for less: what has
 /// holes is read once more when it is sealed.
@@ -137,12 +137,10 @@ pub(crate) struct Recorder {
     photons: RowTable<PhotonRecord>,
     waiting: BTreeMap<u32, Vec<Extent>>,
     parked: BTreeMap<u32, u64>,
-    ledger: BTreeMap<u32, LedgerRecord>,
-    passages: BTreeMap<(u32, u32), (u64, f64)>,
-    sees: BTreeMap<(u32, u32), u64>,
     counts: Arc<Counts>,
-    /// What came since the last commit.
-    epoch: Tally,
+    /// The sums since the start of the trace, and since the last commit.
+    all: Epoch,
+    epoch: Epoch,
     uncommitted: u64,
     committed_at: Instant,
     failure: Option<StoreError>,
@@ -172,11 +170,9 @@ impl Recorder {
             photons,
             waiting: BTreeMap::new(),
             parked: BTreeMap::new(),
-            ledger: BTreeMap::new(),
-            passages: BTreeMap::new(),
-            sees: BTreeMap::new(),
             counts,
-            epoch: Tally::default(),
+            all: Epoch::default(),
+            epoch: Epoch::default(),
             uncommitted: 0,
             committed_at: Instant::now(),
             failure: None,
@@ -192,23 +188,21 @@ impl Recorder {
                 }
                 ExtentKind::Ledger => {
                     for record in recorder.records::<LedgerRecord>(&extent)? {
-                        let sum = recorder
-                            .ledger
-                            .entry(record.room)
-                            .or_insert_with(|| empty_ledger(record.room));
-                        add_ledger(sum, &record);
+                        recorder.all.room(&record);
                     }
                 }
                 ExtentKind::Passages => {
                     for record in recorder.records::<PassageRecord>(&extent)? {
-                        let sum = recorder.passages.entry((record.from, record.to)).or_default();
+                        let sum =
+                            recorder.all.passages.entry((record.from, record.to)).or_default();
                         sum.0 += record.photons;
                         sum.1 += record.flux_w;
                     }
                 }
                 ExtentKind::LightPairs => {
                     for pair in recorder.records::<LightPairRecord>(&extent)? {
-                        *recorder.sees.entry((pair.room, pair.light)).or_default() += pair.photons;
+                        *recorder.all.sees.entry((pair.room, pair.light)).or_default() +=
+                            pair.photons;
                     }
                 }
                 _ => {}
@@ -348,18 +342,12 @@ impl Recorder {
     }
 
     fn status(&mut self) -> Status {
-        let ledger = self.ledger.values();
-        let (mut finished, mut finished_w) = (0, 0.0);
-        for line in ledger {
-            finished += line.absorbed + line.escaped;
-            finished_w += line.absorbed_w.iter().chain(&line.escaped_w).sum::<f64>();
-        }
         Status {
             parked: std::mem::take(&mut self.parked),
             cursors: Vec::new(),
             in_transit: true,
-            finished,
-            finished_w,
+            finished: self.all.finished,
+            finished_w: self.all.finished_w,
             uncommitted: self.uncommitted,
             committed_at: self.committed_at,
             failure: self.failure.take(),
@@ -394,20 +382,9 @@ impl Recorder {
                 Ok::<(), StoreError>(())
             })?;
         }
-        let tally = products.tally;
-        for (&room, line) in &tally.rooms {
-            add_ledger(self.ledger.entry(room).or_insert_with(|| empty_ledger(room)), line);
-        }
-        for (&pair, &(count, flux)) in &tally.passages {
-            let sum = self.passages.entry(pair).or_default();
-            sum.0 += count;
-            sum.1 += flux;
-        }
-        for (&pair, &photons) in &tally.sees {
-            *self.sees.entry(pair).or_default() += photons;
-        }
-        self.traced += tally.traced;
-        self.epoch.merge(&tally);
+        self.traced += products.tally.traced;
+        self.all.add(&products.tally);
+        self.epoch.add(&products.tally);
         self.uncommitted += 1;
         Ok(())
     }
@@ -475,7 +452,8 @@ impl Recorder {
             return Err(error.into());
         }
         self.commit()?;
-        let Self { writer, others, counts, budget, mut ledger, mut passages, mut sees, .. } = self;
+        let Self { writer, others, counts, budget, all, .. } = self;
+        let Epoch { rooms: mut ledger, mut passages, mut sees, .. } = all;
         let process = writer.process();
         let mut writer = Some(writer);
         let mut written = false;

@@ -61,10 +61,11 @@ pub(crate) struct Job {
     pub(crate) work: Work,
 }
 
-/// Sums of one job, added to the recorder's.
+/// Sums of one job.
 #[derive(Default)]
 pub(crate) struct Tally {
-    pub(crate) rooms: BTreeMap<u32, LedgerRecord>,
+    /// One line a room, in the order in which rooms came up: a job sees few of them.
+    pub(crate) rooms: Vec<LedgerRecord>,
     pub(crate) passages: BTreeMap<(u32, u32), (u64, f64)>,
     /// (room, light) pairs that see each other, with the direct photons of the light that landed in the room.
     pub(crate) sees: BTreeMap<(u32, u32), u64>,
@@ -74,23 +75,47 @@ pub(crate) struct Tally {
 
 impl Tally {
     fn room(&mut self, room: u32) -> &mut LedgerRecord {
-        self.rooms.entry(room).or_insert_with(|| empty_ledger(room))
+        let index = self.rooms.iter().position(|line| line.room == room).unwrap_or_else(|| {
+            self.rooms.push(empty_ledger(room));
+            self.rooms.len() - 1
+        });
+        &mut self.rooms[index]
+    }
+}
+
+/// Sums of many jobs.
+#[derive(Default)]
+pub(crate) struct Epoch {
+    pub(crate) rooms: BTreeMap<u32, LedgerRecord>,
+    pub(crate) passages: BTreeMap<(u32, u32), (u64, f64)>,
+    pub(crate) sees: BTreeMap<(u32, u32), u64>,
+    /// Photons whose path has ended, and their flux over all channels, W.
+    pub(crate) finished: u64,
+    pub(crate) finished_w: f64,
+}
+
+impl Epoch {
+    /// Adds a line of a room's ledger.
+    pub(crate) fn room(&mut self, line: &LedgerRecord) {
+        let sum = self.rooms.entry(line.room).or_insert_with(|| empty_ledger(line.room));
+        add_ledger(sum, line);
+        self.finished += line.absorbed + line.escaped;
+        self.finished_w += line.absorbed_w.iter().chain(&line.escaped_w).sum::<f64>();
     }
 
-    /// Adds another tally.
-    pub(crate) fn merge(&mut self, other: &Tally) {
-        for (room, record) in &other.rooms {
-            add_ledger(self.room(*room), record);
+    /// Adds a job's.
+    pub(crate) fn add(&mut self, job: &Tally) {
+        for line in &job.rooms {
+            self.room(line);
         }
-        for (&pair, &(photons, flux)) in &other.passages {
+        for (&pair, &(photons, flux)) in &job.passages {
             let entry = self.passages.entry(pair).or_default();
             entry.0 += photons;
             entry.1 += flux;
         }
-        for (&pair, &photons) in &other.sees {
+        for (&pair, &photons) in &job.sees {
             *self.sees.entry(pair).or_default() += photons;
         }
-        self.traced += other.traced;
     }
 }
 

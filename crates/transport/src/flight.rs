@@ -99,6 +99,11 @@ pub fn follow(
     let reach = hit.map_or(f32::INFINITY, |h| h.t);
     let (mut leaf, mut t) = (record.leaf, record.t);
     loop {
+        if let Some(hit) = hit
+            && tile.bsp.accepts(leaf, origin, direction, reach)
+        {
+            return Flight::Hit { hit, leaf };
+        }
         let exit = tile.bsp.exit(leaf, origin, direction, t);
         if let Some(hit) = hit
             && reach < exit.t_accept

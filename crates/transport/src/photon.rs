@@ -162,7 +162,17 @@ fn step(
     }
 
     let flux = Vec3::from(record.flux);
-    let room = room_of(tile.bsp.locate(surface.origin.as_dvec3()));
+    let point = surface.origin.as_dvec3();
+    let u = rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
+    let (event, after) =
+        scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
+    // Mostly the photon goes on in the leaf in which it came, off a wall that bounds it.
+    let onward = match event {
+        Event::Diffuse(new) | Event::Mirror(new) => new,
+        _ => surface.normal,
+    };
+    let stays = tile.bsp.keeps(record.leaf, point, onward.as_dvec3());
+    let room = room_of(if stays { record.leaf } else { tile.bsp.locate(point) });
     if scatter::stores_impacts(material) {
         // Below gloss, what counts is how much of the light the gloss lets through.
         let cos = -surface.normal.dot(direction);
@@ -170,9 +180,6 @@ fn step(
         sink.impact(room, record.light, stored(seed, record, &surface, admitted));
         record.impacts = record.impacts.saturating_add(1);
     }
-    let u = rng::uniforms(seed, Purpose::Scatter, record.light, record.photon, record.bounce, 0);
-    let (event, after) =
-        scatter::scatter(&lobes, direction, surface.normal, flux, [u[0], u[1], u[2]]);
     // What lies below gloss is no Lambertian: photons that it reflects find the openings themselves.
     let lambert = if lobes.coat.is_some() { Vec3::ZERO } else { flux * lobes.diffuse };
     let taken = sink.reflected(room, record, &surface, lambert, &event);
@@ -211,6 +218,9 @@ fn step(
     }
     record.origin = start.to_array();
     record.t = 0.0;
+    if stays && matches!(event, Event::Diffuse(_) | Event::Mirror(_)) {
+        return true;
+    }
     let direction = Vec3::from(record.direction);
     record.leaf = tile.bsp.locate_towards(start.as_dvec3(), direction.as_dvec3());
     let next = leaves[record.leaf as usize].tile;
