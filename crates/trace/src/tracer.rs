@@ -156,7 +156,8 @@ impl Sink for Products {
 
     fn passage(&mut self, from: u32, to: u32, record: &TransitRecord) {
         let entry = self.tally.passages.entry((from, to)).or_default();
-        entry.0 += 1;
+        // Aimed photons are in no count: what enters a room as a photon ends there as one, or leaves.
+        entry.0 += u64::from(record.flags & TRANSIT_AIMED == 0);
         entry.1 += f64::from(vector::luminance(Vec3::from(record.flux)));
     }
 
@@ -401,7 +402,7 @@ impl Context<'_> {
             return None;
         }
         add3(&mut products.tally.room(room).emitted_w, flux);
-        Some(TransitRecord {
+        let record = TransitRecord {
             origin: start.origin.to_array(),
             direction: start.direction.to_array(),
             flux: flux.to_array(),
@@ -413,7 +414,12 @@ impl Context<'_> {
             flags: TRANSIT_UNSCATTERED,
             last_triangle: start.triangle,
             impacts: 0,
-        })
+        };
+        let towards = self.leaf(leaf).room;
+        if towards != room {
+            products.passage(room, towards, &record);
+        }
+        Some(record)
     }
 
     /// A probe goes from a point on the light to a point of a portal of the room in which it starts.
