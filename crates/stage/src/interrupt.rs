@@ -5,12 +5,12 @@
 //! process exits at once, and the journal makes that harmless too.
 
 use std::io;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
 
 use crate::failure::{Failure, Result};
@@ -21,7 +21,8 @@ const SAME_WISH: Duration = Duration::from_millis(400);
 
 static SIGNAL: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
 
-/// Begins to catch SIGINT and SIGTERM; only the first call does anything.
+/// Begins to catch SIGINT and SIGTERM, and SIGXFSZ, so that a file that becomes too large is an error like another; only the
+/// first call does anything.
 ///
 /// # Errors
 /// I/O, if the system refuses the handlers or the thread that watches for a second Ctrl-C.
@@ -37,6 +38,8 @@ fn watch(flag: &Arc<AtomicUsize>) -> io::Result<()> {
     for (signal, value) in [(SIGINT, SIGINT as usize), (SIGTERM, SIGTERM as usize)] {
         signal_hook::flag::register_usize(signal, Arc::clone(flag), value)?;
     }
+    // A file that reaches the limit of `ulimit -f` is an error of the write, not the end of the process.
+    signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)))?;
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     thread::Builder::new().name("signals".into()).stack_size(64 << 10).spawn(move || {
         let mut first: Option<Instant> = None;

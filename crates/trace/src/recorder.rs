@@ -289,6 +289,7 @@ impl Recorder {
                     if self.failure.is_none()
                         && let Err(error) = self.accept(*products)
                     {
+                        self.give_back(&error);
                         self.failure = Some(error);
                     }
                 }
@@ -339,7 +340,7 @@ impl Recorder {
                 Message::Commit { reply } => {
                     let _ = reply.send(match self.failure.take() {
                         Some(error) => Err(error),
-                        None => self.commit(),
+                        None => self.commit().inspect_err(|error| self.give_back(error)),
                     });
                 }
             }
@@ -363,6 +364,13 @@ impl Recorder {
             uncommitted: self.uncommitted,
             committed_at: self.committed_at,
             failure: self.failure.take(),
+        }
+    }
+
+    /// On a full disk the room of photons that were consumed is not kept for later. This is a favour; what went wrong is told all the same.
+    fn give_back(&mut self, error: &StoreError) {
+        if error.is_full() {
+            let _ = self.writer.release_consumed();
         }
     }
 
