@@ -2,7 +2,8 @@
 //!
 //! A stage looks at [`interrupted`] between blocks, commits what it has and returns
 //! [`crate::Failure::interrupted`]. A user who presses Ctrl-C again does not want to wait: the
-//! process exits at once, and the journal makes that harmless too.
+//! process exits at once, and the journal makes that harmless too. It does the same when the stage is not done
+//! within a second and a half (one huge room, a slow disk): nobody waits for longer than two.
 
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -18,6 +19,9 @@ use crate::progress;
 
 /// `timeout` signals its child and then the child's whole group: two signals that are one wish.
 const SAME_WISH: Duration = Duration::from_millis(400);
+
+/// So long a stage may take to look up and commit.
+const PATIENCE: Duration = Duration::from_millis(1500);
 
 static SIGNAL: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
 
@@ -44,7 +48,15 @@ fn watch(flag: &Arc<AtomicUsize>) -> io::Result<()> {
     thread::Builder::new().name("signals".into()).stack_size(64 << 10).spawn(move || {
         let mut first: Option<Instant> = None;
         for signal in &mut signals {
-            let since = *first.get_or_insert_with(Instant::now);
+            let since = *first.get_or_insert_with(|| {
+                // Without it the stage just takes the time that it takes.
+                let patience = thread::Builder::new().name("patience".into()).stack_size(64 << 10);
+                let _ = patience.spawn(move || {
+                    thread::sleep(PATIENCE);
+                    abandon(signal)
+                });
+                Instant::now()
+            });
             if ABANDON.load(Ordering::Relaxed) > 0 {
                 abandon(signal);
             }

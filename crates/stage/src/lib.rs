@@ -17,6 +17,7 @@ pub mod ids;
 pub mod interrupt;
 pub mod memory;
 pub mod ordered;
+mod pace;
 pub mod pool;
 pub mod progress;
 pub mod resident;

@@ -466,13 +466,20 @@ impl Driver<'_> {
                 self.scheduler.add(tile, pending);
             }
         }
-        let emitted_w: f64 = tables
+        let all_w: f64 = tables
             .lights()
             .iter()
             .map(|l| l.flux_w.iter().map(|&c| f64::from(c)).sum::<f64>())
             .sum();
         let total = self.context.counts.total(tables.lights().len());
-        let progress = Progress::new(self.common, "trace", Some(total), "photons");
+        // Of several processes each knows its own part only, and not how large that is.
+        let known = (self.share.of == 1).then_some(total);
+        let progress = Progress::new(self.common, "trace", known, "photons");
+        if self.share.of == 1 {
+            // Nobody has news: this only asks how far things are.
+            let status = self.ask(|reply| Message::Poll { now: false, reply })??;
+            progress.resume(status.finished, status.finished_w / all_w.max(f64::MIN_POSITIVE));
+        }
         loop {
             let cache = &self.cache;
             let Some(tile) = self.scheduler.next(&|t| cache.is_resident(t)) else {
@@ -503,11 +510,13 @@ impl Driver<'_> {
             if left > 0 {
                 self.scheduler.add(tile, left.min(pending));
             }
-            progress.set(status.finished);
+            progress.at(status.finished, status.finished_w / all_w.max(f64::MIN_POSITIVE));
+            let percent = |watts: f64| 100.0 * (watts / all_w.max(f64::MIN_POSITIVE)).max(0.0);
             progress.message(&format!(
-                "room {}, {:.1} % of the flux not at its end",
+                "room {}, {:.1} % of the flux in transit, {:.1} % not sent off",
                 tables.tiles()[tile as usize].room,
-                100.0 * (1.0 - status.finished_w / emitted_w.max(f64::MIN_POSITIVE)).max(0.0)
+                percent(status.emitted_w - status.finished_w),
+                percent(all_w - status.emitted_w),
             ));
             if self.share.of > 1 {
                 self.take_news(false)?;
@@ -588,7 +597,9 @@ impl Driver<'_> {
         }
         let mut extents = extents.into_iter();
         let mut consumed: Vec<Extent> = Vec::new();
-        while outcome.is_ok() && handed < VISIT_PHOTONS {
+        // Interrupted, a visit ends early: what it has done is committed, the rest stays where it is.
+        let goes_on = |handed: u64| handed < VISIT_PHOTONS && interrupt::interrupted().is_none();
+        while outcome.is_ok() && goes_on(handed) {
             let Some(extent) = extents.next() else { break };
             handed += extent.count;
             outcome = self
@@ -601,7 +612,7 @@ impl Driver<'_> {
         let mut cursor = self.cursors.get(&tile).copied().unwrap_or(0);
         let lights = self.context.tables.lights_of(tile);
         let (mut at, mut first) = self.context.counts.place(lights, PROBES_PER_LIGHT, cursor);
-        while outcome.is_ok() && at < lights.len() && handed < VISIT_PHOTONS {
+        while outcome.is_ok() && at < lights.len() && goes_on(handed) {
             let light = lights[at];
             let count = JOB_PHOTONS.min(self.starts_of(light) - first);
             let work = Work::Emission { light, indices: first..first + count };

@@ -66,6 +66,8 @@ pub(crate) struct Status {
     pub(crate) finished: u64,
     /// Flux of them, W over all channels.
     pub(crate) finished_w: f64,
+    /// Flux of all that were emitted, the same.
+    pub(crate) emitted_w: f64,
     /// Bytes written since the last commit.
     pub(crate) uncommitted: u64,
     /// When that was.
@@ -350,10 +352,11 @@ impl Recorder {
 
     fn status(&mut self) -> Status {
         let ledger = self.ledger.values();
-        let (mut finished, mut finished_w) = (0, 0.0);
+        let (mut finished, mut finished_w, mut emitted_w) = (0, 0.0, 0.0);
         for line in ledger {
             finished += line.absorbed + line.escaped;
             finished_w += line.absorbed_w.iter().chain(&line.escaped_w).sum::<f64>();
+            emitted_w += line.emitted_w.iter().sum::<f64>();
         }
         Status {
             parked: std::mem::take(&mut self.parked),
@@ -361,6 +364,7 @@ impl Recorder {
             in_transit: true,
             finished,
             finished_w,
+            emitted_w,
             uncommitted: self.uncommitted,
             committed_at: self.committed_at,
             failure: self.failure.take(),
