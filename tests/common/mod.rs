@@ -109,6 +109,16 @@ impl Model {
         self.vertices += 4;
     }
 
+    /// A triangle, counter-clockwise from its front.
+    pub fn triangle(&mut self, corners: [[f64; 3]; 3]) {
+        for [x, y, z] in corners {
+            let _ = writeln!(self.text, "v {x} {y} {z}");
+        }
+        let v = self.vertices;
+        let _ = writeln!(self.text, "f {} {} {}", v + 1, v + 2, v + 3);
+        self.vertices += 3;
+    }
+
     /// A box with its fronts outwards (or inwards: a room seen from inside).
     pub fn cuboid(&mut self, min: [f64; 3], max: [f64; 3], inwards: bool) {
         let c = |i: usize| [0, 1, 2].map(|a| if i >> a & 1 == 0 { min[a] } else { max[a] });
@@ -346,4 +356,19 @@ pub fn photons(store: &Path) -> Vec<PhotonRecord> {
         all.extend_from_slice(block.as_slice_of::<PhotonRecord>().expect("whole records"));
     }
     all
+}
+
+/// Partition, grid and trace with more flags for the first and the last of them; the trace's report.
+pub fn traced(scene: &Path, store: &Path, partition: &[&str], trace: &[&str]) -> Value {
+    let stats = store.with_extension("json");
+    ok(bin("enf-partition").arg(scene).arg("-o").arg(store).arg("--quiet").args(partition));
+    ok(bin("enf-grid").arg(store).arg("--quiet"));
+    ok(bin("enf-trace").arg(store).arg("--quiet").args(trace).arg("--stats").arg(&stats));
+    json(&stats)
+}
+
+/// The scalar flux of a stored photon, W.
+pub fn watts(photon: &PhotonRecord) -> f64 {
+    let [r, g, b] = photon.flux_w().map(f64::from);
+    0.2126 * r + 0.7152 * g + 0.0722 * b
 }

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
+use crate::number::count;
 use crate::ours::Kind;
 
 /// The same rooms and the same rays, through our structures and through the real Embree, in turn.
@@ -56,20 +57,6 @@ pub struct Args {
     /// Write the drawn rooms to a folder (NAME.vtx, .idx, .light, as --scene reads them) and measure nothing
     #[arg(long, value_name = "FOLDER")]
     pub save: Option<PathBuf>,
-}
-
-/// A positive number with an optional k, M or G.
-pub fn count(text: &str) -> Result<u64, String> {
-    let (digits, unit) = match text.chars().last() {
-        Some('k' | 'K') => (&text[..text.len() - 1], 1_000),
-        Some('M') => (&text[..text.len() - 1], 1_000_000),
-        Some('G') => (&text[..text.len() - 1], 1_000_000_000),
-        _ => (text, 1),
-    };
-    match digits.parse::<u64>().ok().and_then(|n| n.checked_mul(unit)) {
-        Some(n @ 1..) => Ok(n),
-        _ => Err(format!("{text:?} is no positive number such as 1000, 60k or 1M")),
-    }
 }
 
 /// A number of rays: what fits into memory several times over.

@@ -552,6 +552,35 @@ impl Scene<'_> {
         (hit.geometry != INVALID).then_some(Found { t: hit.ray.far, triangle: hit.primitive })
     }
 
+    /// `rtcIntersect1`, with the normal of the triangle that was hit, not of unit length.
+    #[inline]
+    pub fn meet(&self, beam: &Beam) -> Option<(Found, [f32; 3])> {
+        let mut hit = RayHit {
+            ray: ray(beam),
+            normal: [0.0; 3],
+            uv: [0.0; 2],
+            primitive: INVALID,
+            geometry: INVALID,
+            instance: INVALID,
+            room: [INVALID; 8],
+        };
+        // SAFETY: the scene is committed; the record is aligned and as large as the version wants.
+        unsafe { self.embree.queries.nearest.ask(self.handle.as_ptr(), &mut hit) };
+        let found = Found { t: hit.ray.far, triangle: hit.primitive };
+        (hit.geometry != INVALID).then_some((found, hit.normal))
+    }
+
+    /// [`meet`](Self::meet) by `rtcIntersect16`, sixteen rays at a time, told in the order of the rays.
+    pub fn meet16(&self, beams: &[Beam], mut each: impl FnMut(Option<(Found, [f32; 3])>)) {
+        self.packets(self.embree.queries.nearest16, beams, |packet, count| {
+            for i in 0..count.min(16) {
+                let found = Found { t: packet.far[i], triangle: packet.primitive[i] };
+                let normal = [0, 1, 2].map(|axis| packet.normal[axis][i]);
+                each((packet.geometry[i] != INVALID).then_some((found, normal)));
+            }
+        });
+    }
+
     /// `rtcOccluded1`: whether anything is in the way.
     #[inline]
     pub fn occluded(&self, beam: &Beam) -> bool {

@@ -7,7 +7,7 @@
 //! | [`ours`], [`embree`] | who is asked? |
 //! | [`check`] | do both say the same? |
 //! | [`contest`], [`measure`], [`clock`] | who does what, and how long does it take? |
-//! | [`args`], [`report`] | what is typed, and what is read? |
+//! | [`args`], [`number`], [`report`] | what is typed, and what is read? |
 #![deny(unsafe_code)]
 
 mod args;
@@ -16,6 +16,7 @@ mod clock;
 mod contest;
 mod embree;
 mod measure;
+mod number;
 mod ours;
 mod random;
 mod report;

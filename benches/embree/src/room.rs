@@ -39,7 +39,7 @@ impl Plan {
         if name == "rooms32" {
             return Some(Self { name: name.into(), columns: 8, rows: 4, triangles: 62_500 });
         }
-        let count = crate::args::count(name.strip_prefix("room")?).ok()?;
+        let count = crate::number::count(name.strip_prefix("room")?).ok()?;
         (8_000..=20_000_000).contains(&count).then(|| Self {
             name: name.into(),
             columns: 1,

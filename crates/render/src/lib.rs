@@ -478,6 +478,8 @@ impl Driver<'_> {
             self.writer.extents().filter(|e| e.kind == ExtentKind::Film).map(|e| e.id).collect();
         let rays = u64::from(total) * u64::from(self.context.samples);
         let progress = Progress::new(self.common, "render", Some(rays), "rays");
+        let share = done.len() as f64 / f64::from(bands.max(1));
+        progress.resume((share * rays as f64) as u64, share);
         for band in (0..bands).filter(|b| !done.contains(b)) {
             let first_pixel = band * BAND_PIXELS;
             let pixels = BAND_PIXELS.min(total - first_pixel);
@@ -713,6 +715,8 @@ impl Driver<'_> {
 
     /// Sends a job, and takes in what has come back meanwhile.
     fn send(&mut self, job: Job, flying: &mut u64) -> Result<()> {
+        // A band that is interrupted is begun again: nothing is gained by coming to the end of the visit.
+        interrupt::check()?;
         while *flying > self.common.threads as u64 * 2 {
             self.receive(flying)?;
         }

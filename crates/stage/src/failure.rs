@@ -164,7 +164,15 @@ pub trait IoContext<T> {
 
 impl<T> IoContext<T> for io::Result<T> {
     fn at(self, action: &str, path: &Path) -> Result<T> {
-        self.map_err(|e| Failure::io(cannot(action, path, &e)))
+        self.map_err(|e| {
+            let failure = Failure::io(cannot(action, path, &e));
+            match e.kind() {
+                io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
+                    failure.with_hint("free some space and run the same command again")
+                }
+                _ => failure,
+            }
+        })
     }
 
     fn at_input(self, action: &str, path: &Path) -> Result<T> {

@@ -2,15 +2,16 @@
 //!
 //! A stage looks at [`interrupted`] between blocks, commits what it has and returns
 //! [`crate::Failure::interrupted`]. A user who presses Ctrl-C again does not want to wait: the
-//! process exits at once, and the journal makes that harmless too.
+//! process exits at once, and the journal makes that harmless too. It does the same when the stage is not done
+//! within a second and a half (one huge room, a slow disk): nobody waits for longer than two.
 
 use std::io;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use signal_hook::consts::{SIGINT, SIGTERM};
+use signal_hook::consts::{SIGINT, SIGTERM, SIGXFSZ};
 use signal_hook::iterator::Signals;
 
 use crate::failure::{Failure, Result};
@@ -19,9 +20,13 @@ use crate::progress;
 /// `timeout` signals its child and then the child's whole group: two signals that are one wish.
 const SAME_WISH: Duration = Duration::from_millis(400);
 
+/// So long a stage may take to look up and commit.
+const PATIENCE: Duration = Duration::from_millis(1500);
+
 static SIGNAL: OnceLock<Arc<AtomicUsize>> = OnceLock::new();
 
-/// Begins to catch SIGINT and SIGTERM; only the first call does anything.
+/// Begins to catch SIGINT and SIGTERM, and SIGXFSZ, so that a file that becomes too large is an error like another; only the
+/// first call does anything.
 ///
 /// # Errors
 /// I/O, if the system refuses the handlers or the thread that watches for a second Ctrl-C.
@@ -37,11 +42,21 @@ fn watch(flag: &Arc<AtomicUsize>) -> io::Result<()> {
     for (signal, value) in [(SIGINT, SIGINT as usize), (SIGTERM, SIGTERM as usize)] {
         signal_hook::flag::register_usize(signal, Arc::clone(flag), value)?;
     }
+    // A file that reaches the limit of `ulimit -f` is an error of the write, not the end of the process.
+    signal_hook::flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)))?;
     let mut signals = Signals::new([SIGINT, SIGTERM])?;
     thread::Builder::new().name("signals".into()).stack_size(64 << 10).spawn(move || {
         let mut first: Option<Instant> = None;
         for signal in &mut signals {
-            let since = *first.get_or_insert_with(Instant::now);
+            let since = *first.get_or_insert_with(|| {
+                // Without it the stage just takes the time that it takes.
+                let patience = thread::Builder::new().name("patience".into()).stack_size(64 << 10);
+                let _ = patience.spawn(move || {
+                    thread::sleep(PATIENCE);
+                    abandon(signal)
+                });
+                Instant::now()
+            });
             if ABANDON.load(Ordering::Relaxed) > 0 {
                 abandon(signal);
             }

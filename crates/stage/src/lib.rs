@@ -18,6 +18,7 @@ pub mod interrupt;
 pub mod memory;
 pub mod neighbours;
 pub mod ordered;
+mod pace;
 pub mod pool;
 pub mod progress;
 pub mod resident;

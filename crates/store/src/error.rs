@@ -87,6 +87,9 @@ fn hint(source: &io::Error) -> &'static str {
         io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded => {
             " (free some space and run the same command again: it resumes)"
         }
+        io::ErrorKind::FileTooLarge => {
+            " (raise the limit on file sizes, ulimit -f, and run the same command again: it resumes)"
+        }
         _ => "",
     }
 }
@@ -104,6 +107,12 @@ impl StoreError {
             | Self::Malformed(_) => 4,
             Self::Io { .. } | Self::Busy { .. } => 5,
         }
+    }
+
+    /// Whether space on the disk is what lacks.
+    pub fn is_full(&self) -> bool {
+        use io::ErrorKind::{QuotaExceeded, StorageFull};
+        matches!(self, Self::Io { source, .. } if matches!(source.kind(), StorageFull | QuotaExceeded))
     }
 
     /// For `map_err`: an I/O failure while doing `action` to `path`.

@@ -95,7 +95,8 @@ pub(crate) struct Driver<'a> {
     open: VecDeque<u32>,
     flying: u64,
     progress: Progress,
-    emitted_w: f64,
+    /// Flux of all lights over all channels, W.
+    all_w: f64,
     commit_due: bool,
 }
 
@@ -113,6 +114,9 @@ impl<'a> Driver<'a> {
     ) -> Self {
         let lights = context.tables.lights();
         let total = context.counts.total(lights.len());
+        // Of several processes each knows its own part only, and not how large that is.
+        let known = (manner.share.of == 1).then_some(total);
+        let progress = Progress::new(common, "trace", known, "photons");
         Self {
             common,
             context,
@@ -126,8 +130,8 @@ impl<'a> Driver<'a> {
             visits: BTreeMap::new(),
             open: VecDeque::new(),
             flying: 0,
-            progress: Progress::new(common, "trace", Some(total), "photons"),
-            emitted_w: lights.iter().flat_map(|l| l.flux_w.map(f64::from)).sum(),
+            progress,
+            all_w: lights.iter().flat_map(|l| l.flux_w.map(f64::from)).sum(),
             commit_due: false,
         }
     }
@@ -141,6 +145,11 @@ impl<'a> Driver<'a> {
         for tile in (0..tiles).filter(|&tile| self.manner.share.owns(tile)) {
             let left = self.starts(tile) - self.cursors.get(&tile).copied().unwrap_or(0);
             self.scheduler.add(tile, left + waiting.get(&tile).copied().unwrap_or(0));
+        }
+        if self.manner.share.of == 1 {
+            // Nobody has news: this only asks how far things are.
+            let status = self.ask(|reply| Message::Poll { now: false, reply })??;
+            self.progress.resume(status.finished, self.share_of_flux(status.finished_w));
         }
         let driven = self.work();
         // Every job that was handed out must come back, whatever went wrong.
@@ -213,6 +222,10 @@ impl<'a> Driver<'a> {
             .ok()
             .and_then(|()| answer.recv().ok())
             .ok_or_else(|| Failure::internal("the recorder has stopped"))
+    }
+
+    fn share_of_flux(&self, watts: f64) -> f64 {
+        (watts / self.all_w.max(f64::MIN_POSITIVE)).max(0.0)
     }
 
     fn commit(&mut self) -> Result<()> {
@@ -349,15 +362,16 @@ impl<'a> Driver<'a> {
         let unused = (tile, unused);
         let status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
         let (uncommitted, committed_at) = (status.uncommitted, status.committed_at);
-        let (finished, finished_w) = (status.finished, status.finished_w);
+        let (finished_w, emitted_w) = (status.finished_w, status.emitted_w);
+        self.progress.at(status.finished, self.share_of_flux(finished_w));
+        self.progress.message(&format!(
+            "room {}, {:.1} % of the flux in transit, {:.1} % not sent off",
+            self.context.tables.tiles()[tile as usize].room,
+            100.0 * self.share_of_flux(emitted_w - finished_w),
+            100.0 * self.share_of_flux(self.all_w - emitted_w),
+        ));
         self.take_note(status)?;
         self.scheduler.add(tile, left.min(pending));
-        self.progress.set(finished);
-        self.progress.message(&format!(
-            "room {}, {:.1} % of the flux not at its end",
-            self.context.tables.tiles()[tile as usize].room,
-            100.0 * (1.0 - finished_w / self.emitted_w.max(f64::MIN_POSITIVE)).max(0.0)
-        ));
         if self.manner.share.of > 1 {
             self.take_news(false)?;
         }

@@ -66,6 +66,8 @@ pub(crate) struct Status {
     pub(crate) finished: u64,
     /// Flux of them, W over all channels.
     pub(crate) finished_w: f64,
+    /// Flux of all that were emitted, the same.
+    pub(crate) emitted_w: f64,
     /// Bytes written since the last commit.
     pub(crate) uncommitted: u64,
     /// When that was.
@@ -283,6 +285,7 @@ impl Recorder {
                     if self.failure.is_none()
                         && let Err(error) = self.accept(*products)
                     {
+                        self.give_back(&error);
                         self.failure = Some(error);
                     }
                 }
@@ -333,7 +336,7 @@ impl Recorder {
                 Message::Commit { reply } => {
                     let _ = reply.send(match self.failure.take() {
                         Some(error) => Err(error),
-                        None => self.commit(),
+                        None => self.commit().inspect_err(|error| self.give_back(error)),
                     });
                 }
             }
@@ -348,9 +351,17 @@ impl Recorder {
             in_transit: true,
             finished: self.all.finished,
             finished_w: self.all.finished_w,
+            emitted_w: self.all.emitted_w,
             uncommitted: self.uncommitted,
             committed_at: self.committed_at,
             failure: self.failure.take(),
+        }
+    }
+
+    /// On a full disk the room of photons that were consumed is not kept for later. This is a favour; what went wrong is told all the same.
+    fn give_back(&mut self, error: &StoreError) {
+        if error.is_full() {
+            let _ = self.writer.release_consumed();
         }
     }
 

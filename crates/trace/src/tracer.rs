@@ -92,6 +92,8 @@ pub(crate) struct Epoch {
     /// Photons whose path has ended, and their flux over all channels, W.
     pub(crate) finished: u64,
     pub(crate) finished_w: f64,
+    /// Flux of those that were emitted, the same.
+    pub(crate) emitted_w: f64,
 }
 
 impl Epoch {
@@ -101,6 +103,7 @@ impl Epoch {
         add_ledger(sum, line);
         self.finished += line.absorbed + line.escaped;
         self.finished_w += line.absorbed_w.iter().chain(&line.escaped_w).sum::<f64>();
+        self.emitted_w += line.emitted_w.iter().sum::<f64>();
     }
 
     /// Adds a job's.
@@ -181,7 +184,8 @@ impl Sink for Products {
 
     fn passage(&mut self, from: u32, to: u32, record: &TransitRecord) {
         let entry = self.tally.passages.entry((from, to)).or_default();
-        entry.0 += 1;
+        // Aimed photons are in no count: what enters a room as a photon ends there as one, or leaves.
+        entry.0 += u64::from(record.flags & TRANSIT_AIMED == 0);
         entry.1 += f64::from(vector::luminance(Vec3::from(record.flux)));
     }
 
@@ -426,7 +430,7 @@ impl Context<'_> {
             return None;
         }
         add3(&mut products.tally.room(room).emitted_w, flux);
-        Some(TransitRecord {
+        let record = TransitRecord {
             origin: start.origin.to_array(),
             direction: start.direction.to_array(),
             flux: flux.to_array(),
@@ -438,7 +442,12 @@ impl Context<'_> {
             flags: TRANSIT_UNSCATTERED,
             last_triangle: start.triangle,
             impacts: 0,
-        })
+        };
+        let towards = self.leaf(leaf).room;
+        if towards != room {
+            products.passage(room, towards, &record);
+        }
+        Some(record)
     }
 
     /// A probe goes from a point on the light to a point of a portal of the room in which it starts.

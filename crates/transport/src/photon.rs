@@ -105,12 +105,12 @@ pub fn trace_all<S: Sink>(
 }
 
 /// What becomes of a photon or probe whose ray meets `hit` next; false when that was the last of it here.
-fn step(
+fn step<S: Sink>(
     tile: &Resident<'_>,
     seed: u64,
     record: &mut TransitRecord,
     hit: Option<Hit>,
-    sink: &mut impl Sink,
+    sink: &mut S,
 ) -> bool {
     let leaves = tile.bsp.leaves;
     let room_of = |leaf: u32| leaves[leaf as usize].room;
@@ -173,6 +173,13 @@ fn step(
     };
     let stays = tile.bsp.keeps(record.leaf, point, onward.as_dvec3());
     let room = room_of(if stays { record.leaf } else { tile.bsp.locate(point) });
+    // Within a rounding of a portal, the point that is lit may lie in the room next door: a passage, or rooms would not balance.
+    let pass = |sink: &mut S, record: &TransitRecord, from: u32, to: u32| {
+        if from != to {
+            sink.passage(from, to, record);
+        }
+    };
+    pass(sink, record, room_of(record.leaf), room);
     if scatter::stores_impacts(material) {
         // Below gloss, what counts is how much of the light the gloss lets through.
         let cos = -surface.normal.dot(direction);
@@ -199,6 +206,7 @@ fn step(
         Event::Transmitted => {
             // The same ray goes on: origin, direction and leaf stay, t moves.
             record.t = flight::just_after(hit.t);
+            pass(sink, record, room, room_of(record.leaf));
             return true;
         }
         Event::Diffuse(new) => {
@@ -223,6 +231,7 @@ fn step(
     }
     let direction = Vec3::from(record.direction);
     record.leaf = tile.bsp.locate_towards(start.as_dvec3(), direction.as_dvec3());
+    pass(sink, record, room, room_of(record.leaf));
     let next = leaves[record.leaf as usize].tile;
     if next != tile.tile {
         sink.park(next, *record);
