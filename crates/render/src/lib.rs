@@ -5,8 +5,10 @@
 #![forbid(unsafe_code)]
 
 mod camera;
+mod caustics;
 mod daylight;
 mod film;
+mod gather;
 mod shade;
 
 use std::collections::BTreeMap;
@@ -36,22 +38,26 @@ use enf_trace::{QueueArgs, queue_shape};
 use serde_json::Value;
 use zerocopy::IntoBytes;
 
+use caustics::Caustics;
+
 pub use camera::{Camera, View};
 use shade::{Context, Job, Products, RoomLight, RoomMap, Scratch, Waiting, Work};
 
 /// Pixels that are finished together. Part of the format of an unfinished render, hence no flag.
 const BAND_PIXELS: u32 = 1 << 15;
-/// Rays of one job.
-const JOB_RAYS: u64 = 2048;
+/// Rays that the rays of one job may send off.
+const JOB_RAYS: u64 = 8192;
 /// Rays of one visit.
 const VISIT_RAYS: u64 = 1 << 20;
 
 /// Where indirect light comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Indirect {
-    /// The photon maps, directly.
+    /// The photon maps, directly: quick, blurred, and blotched where photons are few
     #[default]
     PhotonMap,
+    /// Gather rays from what is seen to what lights it; the photon maps answer there
+    FinalGather,
     /// Nowhere: direct light alone.
     None,
 }
@@ -84,9 +90,25 @@ pub struct RenderArgs {
     /// Where indirect light comes from
     #[arg(long, value_enum, default_value_t)]
     pub indirect: Indirect,
+    /// Gather rays per camera ray, with --indirect final-gather
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub gather_rays: u32,
     /// Exposure of PNG pictures: what linear radiance is multiplied with [default: found per picture]
     #[arg(long, value_name = "FACTOR")]
     pub exposure: Option<f32>,
+}
+
+impl RenderArgs {
+    /// Rays that a ray's point sends off at most, its own way on apart: those to the lights, to the sun, and for other light.
+    fn asking(&self) -> u32 {
+        let gather = if self.indirect == Indirect::FinalGather { self.gather_rays + 1 } else { 0 };
+        self.light_samples + 1 + gather
+    }
+
+    /// Rays of one job.
+    fn job_rays(&self) -> u64 {
+        (JOB_RAYS / u64::from(self.asking() + 1)).max(64)
+    }
 }
 
 /// `enf-render`: the command line.
@@ -195,9 +217,10 @@ fn refuse_if_hopeless(
 ) -> Result<()> {
     let common = &cli.common;
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
-    let together = Scratch::ray_bytes(cli.render.light_samples) * common.threads as u64;
-    let rays =
-        RowTable::<TransitRecord>::memory_bytes(rows, block) + bytes_in_flight(common) + together;
+    let together = Scratch::ray_bytes(cli.render.asking()) * common.threads as u64;
+    let rays = RowTable::<TransitRecord>::memory_bytes(rows, block)
+        + bytes_in_flight(common, &cli.render)
+        + together;
     let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
     let film = film_bytes(pixels.min(BAND_PIXELS));
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -208,7 +231,7 @@ fn refuse_if_hopeless(
         }
         let map = match cli.render.indirect {
             Indirect::None => 0,
-            Indirect::PhotonMap => maps
+            Indirect::PhotonMap | Indirect::FinalGather => maps
                 .find(ExtentKind::Map, id as u32)
                 .iter()
                 .map(|e| e.raw_bytes + IrradianceCache::bytes(e.count as usize))
@@ -237,8 +260,9 @@ fn refuse_if_hopeless(
 }
 
 /// Products of the jobs under way.
-fn bytes_in_flight(common: &CommonArgs) -> u64 {
-    JOB_RAYS * 4 * size_of::<TransitRecord>() as u64 * (common.threads as u64 + 4)
+fn bytes_in_flight(common: &CommonArgs, args: &RenderArgs) -> u64 {
+    let products = args.job_rays() * u64::from(args.asking() + 1);
+    products * size_of::<TransitRecord>() as u64 * (common.threads as u64 + 4)
 }
 
 /// A band of film and its developed pixels.
@@ -284,7 +308,15 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
     identity.push("samples", args.samples);
     identity.push("light-samples", args.light_samples);
     identity.push("gather-photons", args.gather_photons);
-    identity.push("indirect", if args.indirect == Indirect::None { "none" } else { "photon-map" });
+    let indirect = match args.indirect {
+        Indirect::PhotonMap => "photon-map",
+        Indirect::FinalGather => "final-gather",
+        Indirect::None => "none",
+    };
+    identity.push("indirect", indirect);
+    if args.indirect == Indirect::FinalGather {
+        identity.push("gather-rays", args.gather_rays);
+    }
     for view in views {
         identity.push(format!("view {}", view.name), format!("{:?}", view.camera));
     }
@@ -349,8 +381,8 @@ fn render(
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
     let _queue = budget
         .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
-    let together = Scratch::ray_bytes(args.light_samples) * common.threads as u64;
-    let _jobs = budget.reserve(bytes_in_flight(common) + together, "rays in flight")?;
+    let together = Scratch::ray_bytes(args.asking()) * common.threads as u64;
+    let _jobs = budget.reserve(bytes_in_flight(common, args) + together, "rays in flight")?;
 
     let mut first_pixels = vec![0u32];
     for view in views {
@@ -366,12 +398,14 @@ fn render(
         seed: common.seed,
         samples: args.samples,
         light_samples: args.light_samples,
+        job_rays: args.job_rays(),
         gather: Gather {
             photons: args.gather_photons.clamp(2, 1 << 20) as u32,
             radius: f32::INFINITY,
             kernel: Kernel::Constant,
         },
-        indirect: args.indirect != Indirect::None,
+        indirect: args.indirect,
+        gather_rays: args.gather_rays,
         power: &power,
         daylight: daylight.as_ref(),
     };
@@ -598,7 +632,7 @@ impl Driver<'_> {
             return Err(Failure::input(format!("the light set of room {room} is damaged")));
         }
         let sun = daylight::adapt(&mut lights, self.context.tables, room);
-        let map = if self.context.indirect {
+        let map = if self.context.indirect != Indirect::None {
             let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
             let photons = extent.count as usize;
             loop {
@@ -606,8 +640,13 @@ impl Driver<'_> {
                     let bytes = IrradianceCache::bytes(photons);
                     let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
                     let map = self.readers.maps.map(&extent, &self.budget, "photon map")?;
-                    let cache = IrradianceCache::new(&PhotonMap::from_blob(&map)?);
-                    Ok(RoomMap { map, cache, _reservation: reservation })
+                    let photons = PhotonMap::from_blob(&map)?;
+                    let cache = IrradianceCache::new(&photons);
+                    let caustics = match self.context.indirect {
+                        Indirect::FinalGather => Caustics::of(&photons, &self.budget)?,
+                        _ => None,
+                    };
+                    Ok(RoomMap { map, cache, caustics, _reservation: reservation })
                 };
                 match attempt() {
                     Ok(map) => break Some(map),
@@ -647,6 +686,7 @@ impl Driver<'_> {
         band: &mut Band,
         all: u64,
     ) -> Result<u64> {
+        let job_rays = self.context.job_rays;
         let memory: Vec<TransitRecord> = self.rows.take(tile).collect();
         let mut flying = 0;
         let mut handed = memory.len() as u64;
@@ -681,8 +721,8 @@ impl Driver<'_> {
                 None => break,
             };
             let count = batch.records().len();
-            for first in (0..count).step_by(JOB_RAYS as usize) {
-                let range = first..(first + JOB_RAYS as usize).min(count);
+            for first in (0..count).step_by(job_rays as usize) {
+                let range = first..(first + job_rays as usize).min(count);
                 let work = Work::Waiting { records: Arc::clone(&batch), range };
                 outcome = outcome.and(self.send(job(work), &mut flying));
             }
@@ -695,7 +735,7 @@ impl Driver<'_> {
         }
         let mut cursor = band.unsent.get(&tile).copied().unwrap_or(all);
         while outcome.is_ok() && cursor < all && handed < VISIT_RAYS {
-            let end = (cursor + JOB_RAYS).min(all);
+            let end = (cursor + job_rays).min(all);
             let work = Work::Camera { indices: cursor..end };
             outcome = self.send(job(work), &mut flying);
             handed += end - cursor;
