@@ -45,6 +45,9 @@ impl Shader<'_> {
         // One sequence over all samples of the pixel, scrambled per pixel and bounce.
         let scramble = rng::block(context.seed, Purpose::Gather, local, 0, record.bounce, 0);
         let flux = throughput * lobes.diffuse / count as f32;
+        if record.bounce == 0 {
+            self.film.add_gather_rays(self.film_pixel(record), count);
+        }
         for ray in 0..count {
             let index = record.photon.wrapping_mul(count).wrapping_add(ray);
             let [x, y] = sobol(index);
@@ -87,7 +90,7 @@ impl Shader<'_> {
         let radius = if found.radius > 0.0 { found.radius } else { most };
         if distance >= radius {
             let radiance = reflected * Vec3::from(found.rgb) * core::f32::consts::FRAC_1_PI;
-            self.film.add_indirect(self.film_pixel(record), radiance.to_array());
+            self.add_indirect(record, radiance);
             return;
         }
         // Too near for the disc of the estimate.
@@ -167,7 +170,7 @@ impl Shader<'_> {
             caustics::irradiance(map, point, normal, radius, &self.portals, &mut scratch.gather);
         let radiance = reflected * found * core::f32::consts::FRAC_1_PI;
         if radiance != Vec3::ZERO {
-            self.film.add_indirect(self.film_pixel(record), radiance.to_array());
+            self.add_indirect(record, radiance);
         }
     }
 }

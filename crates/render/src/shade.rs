@@ -11,6 +11,7 @@ use enf_geometry::{Hit, Query};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
+use enf_layout::bsp::LEAF_SOLID;
 use enf_layout::light::{LIGHT_AREA, LIGHT_PROFILE, LIGHT_SPOT, LIGHT_SUN, LightRecord};
 use enf_layout::material::MaterialRecord;
 use enf_layout::sections::Malformed;
@@ -36,6 +37,16 @@ use crate::daylight;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
+
+/// Nothing is nearer than this, m, when the mean distance to what is around is asked for.
+const NEAREST_M: f32 = 1e-3;
+
+/// A shadow ray of a sample of the second half ([`Context::half`]) ...
+const MARK_SECOND_HALF: u16 = 1;
+/// ... or of neither.
+const MARK_NO_HALF: u16 = 2;
+/// A gather ray's shadow ray, whose path began at what is seen after a bounce.
+const MARK_LATER: u16 = 4;
 
 /// Steps of the five-dimensional Kronecker sequence (Roberts 2018: powers of 1/1.13472...), as 32-bit fractions.
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
@@ -88,7 +99,18 @@ pub(crate) struct Job {
     pub(crate) film: Arc<Film>,
     /// First pixel of the band.
     pub(crate) first_pixel: u32,
+    /// Where the band is at.
+    pub(crate) pass: Pass,
     pub(crate) work: Work,
+}
+
+/// A pass over a band: all pixels get the same samples first, then some of them more.
+#[derive(Clone)]
+pub(crate) enum Pass {
+    /// So many samples of each pixel.
+    All,
+    /// Further samples: how many the pixels before have together, for each pixel and for the end.
+    More(Arc<Vec<u64>>),
 }
 
 /// What came of a job.
@@ -204,28 +226,80 @@ impl Context<'_> {
         (&self.views[view], pixel - self.first_pixels[view])
     }
 
-    /// A camera ray of a job, if it starts in the job's tile.
-    fn seen(&self, job: &Job, index: u64) -> Option<TransitRecord> {
-        let pixel = job.first_pixel + (index / u64::from(self.samples)) as u32;
-        let sample = (index % u64::from(self.samples)) as u32;
+    /// Calls `each` with the pixels of a band (of `count` from `first_pixel` on) that are at most `reach` rows and
+    /// columns away from one of them in the same picture, itself included, and with their squared distance.
+    pub(crate) fn neighbours(
+        &self,
+        first_pixel: u32,
+        count: usize,
+        pixel: usize,
+        reach: u32,
+        mut each: impl FnMut(usize, u32),
+    ) {
+        let (view, local) = self.pixel(first_pixel + pixel as u32);
+        let (width, height) = (view.camera.width, view.camera.height);
+        let (x, y) = (local % width, local / width);
+        // The picture's first pixel, counted as the band's are.
+        let origin = i64::from(first_pixel) + pixel as i64 - i64::from(local);
+        for row in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
+            for column in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
+                let at = origin + i64::from(row) * i64::from(width) + i64::from(column)
+                    - i64::from(first_pixel);
+                if (0..count as i64).contains(&at) {
+                    let (dx, dy) = (column.abs_diff(x), row.abs_diff(y));
+                    each(at as usize, dx * dx + dy * dy);
+                }
+            }
+        }
+    }
+
+    /// A camera ray of a job.
+    fn seen(&self, job: &Job, index: u64) -> TransitRecord {
+        let (pixel, sample) = match &job.pass {
+            Pass::All => {
+                let samples = u64::from(self.samples);
+                ((index / samples) as u32, (index % samples) as u32)
+            }
+            Pass::More(before) => {
+                let pixel = before.partition_point(|&b| b <= index) - 1;
+                (pixel as u32, self.samples + (index - before[pixel]) as u32)
+            }
+        };
+        let pixel = job.first_pixel + pixel;
         let (view, local) = self.pixel(pixel);
         let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
         let (dx, dy) = camera::place(sample, [u[0], u[1]]);
-        let direction = view.camera.direction(local, dx, dy);
-        let leaf = self.bsp.locate_towards(view.camera.eye.as_dvec3(), direction.as_dvec3());
-        (self.bsp.leaves[leaf as usize].tile == job.tile.tile).then(|| TransitRecord {
-            origin: view.camera.eye.to_array(),
+        let (origin, direction) = view.camera.ray(local, dx, dy);
+        TransitRecord {
+            origin: origin.to_array(),
             direction: direction.to_array(),
             flux: [1.0; 3],
             t: 0.0,
-            leaf,
+            leaf: self.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
             light: pixel,
             photon: sample,
             bounce: 0,
             flags: TRANSIT_CAMERA,
             last_triangle: NONE,
             impacts: 0,
-        })
+        }
+    }
+
+    /// Whether a camera ray starts inside a wall that a plan cuts: it stays black there, as walls are drawn.
+    fn is_cut(&self, record: &TransitRecord) -> bool {
+        self.bsp.leaves[record.leaf as usize].flags & LEAF_SOLID != 0
+            && self.pixel(record.light).0.camera.is_plan()
+    }
+
+    /// Which half of the pixel's first samples one belongs to, as a sign; 0 where it is in neither.
+    fn half(&self, sample: u32) -> f32 {
+        if sample >= self.samples & !1 {
+            0.0
+        } else if sample & 1 == 0 {
+            1.0
+        } else {
+            -1.0
+        }
     }
 
     pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
@@ -270,9 +344,20 @@ impl Context<'_> {
             Work::Camera { indices } => {
                 let mut indices = indices.clone();
                 shader.follow_all(scratch, &mut products, |products| {
-                    let record = indices.find_map(|index| self.seen(job, index))?;
-                    products.camera += 1;
-                    Some(record)
+                    // An eye in a doorway, and a plan, have rays that start elsewhere.
+                    indices.by_ref().find_map(|index| {
+                        let record = self.seen(job, index);
+                        products.camera += 1;
+                        let tile = shader.tile_of(record.leaf);
+                        if self.is_cut(&record) {
+                            return None;
+                        }
+                        if tile == shader.tile.tile {
+                            return Some(record);
+                        }
+                        products.park(tile, record);
+                        None
+                    })
                 });
             }
         }
@@ -283,6 +368,58 @@ impl Context<'_> {
 impl Shader<'_> {
     pub(crate) fn film_pixel(&self, record: &TransitRecord) -> u32 {
         record.light - self.first_pixel
+    }
+
+    /// Adds radiance that came straight from a light.
+    fn add_direct(&self, record: &TransitRecord, radiance: Vec3) {
+        let pixel = self.film_pixel(record);
+        self.film.add_direct(pixel, radiance.to_array());
+        self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+    }
+
+    /// Adds radiance that came over other surfaces.
+    pub(crate) fn add_indirect(&self, record: &TransitRecord, radiance: Vec3) {
+        let pixel = self.film_pixel(record);
+        if self.is_gathered_first(record) {
+            self.film.add_gathered(pixel, radiance.to_array());
+        } else {
+            self.film.add_indirect(pixel, radiance.to_array());
+            self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+        }
+    }
+
+    /// Whether it is a gather ray, or a shadow ray of one, from what the eye sees first.
+    pub(crate) fn is_gathered_first(&self, record: &TransitRecord) -> bool {
+        let shadow = record.flags & TRANSIT_SHADOW != 0;
+        let later = if shadow { record.bounce & MARK_LATER } else { record.bounce & 0xff00 };
+        record.flags & TRANSIT_GATHER != 0 && later == 0
+    }
+
+    /// What a shadow ray has in place of bounces: for whom it asks.
+    fn marks(&self, record: &TransitRecord) -> u16 {
+        let sign = self.sign(record);
+        let half = if sign > 0.0 {
+            0
+        } else if sign < 0.0 {
+            MARK_SECOND_HALF
+        } else {
+            MARK_NO_HALF
+        };
+        let gather = record.flags & TRANSIT_GATHER != 0;
+        half | if gather && !self.is_gathered_first(record) { MARK_LATER } else { 0 }
+    }
+
+    /// See [`Context::half`].
+    fn sign(&self, record: &TransitRecord) -> f32 {
+        if record.flags & TRANSIT_SHADOW != 0 {
+            return match record.bounce & (MARK_SECOND_HALF | MARK_NO_HALF) {
+                0 => 1.0,
+                MARK_SECOND_HALF => -1.0,
+                _ => 0.0,
+            };
+        }
+        let rays = if record.flags & TRANSIT_GATHER != 0 { self.context.gather_rays } else { 1 };
+        self.context.half(record.photon / rays)
     }
 
     pub(crate) fn tile_of(&self, leaf: u32) -> u32 {
@@ -368,8 +505,7 @@ impl Shader<'_> {
                     let gloss = f32::from_bits(record.impacts) > 0.0;
                     let seen =
                         if gloss { daylight.radiance(direction) } else { daylight.seen(direction) };
-                    let seen = Vec3::from(record.flux) * seen;
-                    self.film.add_direct(self.film_pixel(record), seen.to_array());
+                    self.add_direct(record, Vec3::from(record.flux) * seen);
                 }
                 return false;
             }
@@ -393,6 +529,9 @@ impl Shader<'_> {
         let material = &self.tile.materials[surface.material as usize];
         let lobes = scatter::lobes(material, &flight::met(&self.tile, record, &hit, &surface));
         if record.flags & TRANSIT_GATHER != 0 {
+            if record.bounce == 0 {
+                self.film.add_nearness(self.film_pixel(record), 1.0 / hit.t.max(NEAREST_M));
+            }
             if lobes.diffuse != Vec3::ZERO {
                 self.gathered(record, &surface, &lobes, hit.t, scratch, products);
             }
@@ -410,7 +549,7 @@ impl Shader<'_> {
             let emitted = throughput * Vec3::from(material.emission);
             let emitted = emitted * self.share_of_gloss(record, &surface, material, hit.t);
             if emitted != Vec3::ZERO {
-                self.film.add_direct(pixel, emitted.to_array());
+                self.add_direct(record, emitted);
             }
         }
         if lobes.diffuse != Vec3::ZERO || lobes.gloss().is_some() {
@@ -570,8 +709,7 @@ impl Shader<'_> {
                 &self.portals,
                 &mut scratch.gather,
             );
-            let radiance = reflected * Vec3::from(gathered);
-            self.film.add_indirect(self.film_pixel(record), radiance.to_array());
+            self.add_indirect(record, reflected * Vec3::from(gathered));
         }
         self.direct(record, surface, throughput, lobes, scratch, products);
     }
@@ -739,7 +877,7 @@ impl Shader<'_> {
             leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
             light: record.light,
             photon: sample.distance.to_bits(),
-            bounce: 0,
+            bounce: self.marks(record),
             flags: TRANSIT_SHADOW | record.flags & TRANSIT_GATHER,
             last_triangle: surface.triangle,
             impacts: sample.triangle,
@@ -832,11 +970,11 @@ impl Shader<'_> {
                 return flux != Vec3::ZERO;
             }
         }
-        let pixel = self.film_pixel(record);
+        let flux = Vec3::from(record.flux);
         if record.flags & TRANSIT_GATHER == 0 {
-            self.film.add_direct(pixel, record.flux);
+            self.add_direct(record, flux);
         } else {
-            self.film.add_indirect(pixel, record.flux);
+            self.add_indirect(record, flux);
         }
         false
     }
