@@ -43,7 +43,7 @@ struct Cell {
 /// What gather rays say about a pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gathered {
-    /// Radiance that they have added, W/m²/sr, mean over the pixel's samples.
+    /// Radiance that they have added, W/m²/sr, mean over the samples that sent them.
     pub radiance: [f32; 3],
     /// Mean of one over the distance to what they met first, 1/m; 0 where they met nothing.
     pub nearness: f32,
@@ -144,13 +144,13 @@ impl Film {
         sum(DIRECT) + sum(INDIRECT) + sum(GATHERED)
     }
 
-    /// What gather rays say about a pixel of so many samples.
-    pub fn gathered(&self, pixel: usize, samples: u32) -> Gathered {
+    /// What gather rays of so many samples say about a pixel.
+    pub fn gathered(&self, pixel: usize, gathering: u32) -> Gathered {
         let wide = self.wide();
         let sum = |channel| self.sum(&wide, pixel, channel);
-        let (samples, rays) = (f64::from(samples.max(1)), sum(RAYS).max(1.0));
+        let (gathering, rays) = (f64::from(gathering.max(1)), sum(RAYS).max(1.0));
         Gathered {
-            radiance: [0, 1, 2].map(|c| (sum(GATHERED + c) / samples) as f32),
+            radiance: [0, 1, 2].map(|c| (sum(GATHERED + c) / gathering) as f32),
             nearness: (sum(NEARNESS) / rays) as f32,
         }
     }
@@ -235,16 +235,18 @@ impl Film {
     /// [`Film::resolve`] for the pixels from `first` on, so that a big film can be resolved through
     /// a small buffer.
     pub fn resolve_from(&self, first: usize, samples: u32, out: &mut [PixelRecord]) {
-        self.resolve_each(first, |_| samples, out);
+        self.resolve_each(first, |_| samples, samples, out);
     }
 
-    /// [`Film::resolve_from`] where each pixel has samples of its own number.
+    /// [`Film::resolve_from`] where each pixel has samples of its own number; `gathering` of them, in all pixels, sent gather rays.
     pub fn resolve_each(
         &self,
         first: usize,
         samples: impl Fn(usize) -> u32,
+        gathering: u32,
         out: &mut [PixelRecord],
     ) {
+        let gathering = f64::from(gathering.max(1));
         let wide = self.wide();
         let cells = self.cells.get(first..).unwrap_or_default();
         for ((i, cell), record) in cells.iter().enumerate().zip(out) {
@@ -254,7 +256,7 @@ impl Film {
             let rgb = |c: usize| [mean(c), mean(c + 1), mean(c + 2)];
             let both = |c: usize| {
                 let sum = |channel| self.sum(&wide, pixel, channel);
-                ((sum(INDIRECT + c) + sum(GATHERED + c)) / samples) as f32
+                (sum(INDIRECT + c) / samples + sum(GATHERED + c) / gathering) as f32
             };
             *record = PixelRecord {
                 direct: rgb(DIRECT),
@@ -402,10 +404,10 @@ mod tests {
         film.add_noise(1, 3.0);
         film.add_noise(1, -1.0);
         let mut out = [PixelRecord::default(); 2];
-        film.resolve_each(0, |pixel| [1, 2][pixel], &mut out);
-        assert_eq!(out[1].indirect, [0.75, 1.125, 5.5]);
-        let gathered = Gathered { radiance: [0.25, 0.125, 4.0], nearness: 2.0 };
-        assert_eq!(film.gathered(1, 2), gathered);
+        film.resolve_each(0, |pixel| [1, 2][pixel], 4, &mut out);
+        assert_eq!(out[1].indirect, [0.625, 1.0625, 3.5]);
+        let gathered = Gathered { radiance: [0.125, 0.0625, 2.0], nearness: 2.0 };
+        assert_eq!(film.gathered(1, 4), gathered);
         assert_eq!(film.gathered(0, 2), Gathered::default());
         assert_eq!((film.noise(1), film.noise(0)), (2.0, 0.0));
         let expected = 0.2126 * 1.5 + 0.7152 * 2.25 + 0.0722 * 11.0;

@@ -102,6 +102,16 @@ pub(crate) fn dither(x: usize, y: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn linear_is_linear_up_to_white() {
+        assert_eq!(Tone::Linear.map([0.1, 0.5, 3.0], 0.5), [0.05, 0.25, 1.0]);
+        assert_eq!(Tone::Linear.map([-1.0, f32::NAN, f32::INFINITY], 1.0), [0.0, 0.0, 1.0]);
+        assert_eq!(Tone::Filmic.map([0.1, 0.5, 3.0], 0.5), tone_map([0.1, 0.5, 3.0], 0.5));
+        // EV 7: white at 153.6 cd/m2; a step is a factor of two.
+        assert!((exposure_of_ev(7.0) * 153.6 / LUMENS_PER_WATT - 1.0).abs() < 1e-6);
+        assert_eq!(exposure_of_ev(6.0), 2.0 * exposure_of_ev(7.0));
+    }
     use proptest::prelude::*;
 
     #[test]

@@ -131,7 +131,7 @@ pub struct RenderArgs {
     #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub max_samples: u32,
     /// Error of a pixel, of its brightness, up to which it gets no more camera rays
-    #[arg(long, value_name = "SHARE", default_value_t = 0.05, value_parser = parse_positive)]
+    #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = parse_positive)]
     pub noise: f32,
     /// Shadow rays per shading point
     #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=4096))]
@@ -142,8 +142,8 @@ pub struct RenderArgs {
     /// Where indirect light comes from
     #[arg(long, value_enum, default_value_t)]
     pub indirect: Indirect,
-    /// Gather rays per camera ray, with --indirect final-gather
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=1024))]
+    /// Gather rays per pixel, with --indirect final-gather
+    #[arg(long, value_name = "N", default_value_t = 4, value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub gather_rays: u32,
     /// Gathered light is averaged over neighbouring pixels of a surface, as far as this share of the mean distance to what lights it; 0 turns that off
     #[arg(long, value_name = "SHARE", default_value_t = 0.25, value_parser = parse_share)]
@@ -171,7 +171,10 @@ pub struct RenderArgs {
 impl RenderArgs {
     /// Rays that a ray's point sends off at most, its own way on apart: those to the lights, to the sun, and for other light.
     pub(crate) fn asking(&self) -> u32 {
-        let gather = if self.indirect == Indirect::FinalGather { self.gather_rays + 1 } else { 0 };
+        let gather = match self.indirect {
+            Indirect::FinalGather => self.gather_rays.div_ceil(self.samples) + 1,
+            _ => 0,
+        };
         self.light_samples + 1 + gather
     }
 

@@ -490,3 +490,84 @@ pub(crate) fn place(index: u32, shift: [f32; 2]) -> (f32, f32) {
     };
     (fraction(x, shift[0]), fraction(y, shift[1]))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(projection: Projection, fov: f32, target: [f32; 3]) -> Camera {
+        let record = ViewRecord {
+            eye: [1.0, 2.0, 3.0],
+            target,
+            up: if projection == Projection::Plan { [0.0, 1.0, 0.0] } else { [0.0, 0.0, 1.0] },
+            fov_degrees: fov,
+            width: 40,
+            height: 20,
+        };
+        Camera::new(&record, projection).unwrap()
+    }
+
+    fn close(a: Vec3, b: Vec3) -> bool {
+        (a - b).length() < 1e-5
+    }
+
+    #[test]
+    fn perspective_spans_its_field_of_view() {
+        let camera = camera(Projection::Perspective, 90.0, [1.0, 5.0, 3.0]);
+        let corner = 20 * 10 * 2 + 20;
+        let (eye, ahead) = camera.ray(corner, 0.0, 0.0);
+        assert!(eye == camera.eye && close(ahead, Vec3::Y), "{ahead}");
+        // Up by 45 degrees, and twice as far to the left.
+        let (_, first) = camera.ray(0, 0.0, 0.0);
+        assert!(close(first, Vec3::new(-2.0, 1.0, 1.0).normalize()), "{first}");
+    }
+
+    #[test]
+    fn a_panorama_is_all_directions_once_and_level() {
+        // Looking up does not tilt the horizon.
+        let camera = camera(Projection::Panorama, 60.0, [1.0, 5.0, 7.0]);
+        let at = |x: u32, y: u32, dx, dy| camera.ray(y * 40 + x, dx, dy).1;
+        assert!(close(at(20, 10, 0.0, 0.0), Vec3::Y));
+        assert!(close(at(30, 10, 0.0, 0.0), Vec3::X));
+        assert!(close(at(10, 10, 0.0, 0.0), -Vec3::X));
+        assert!(close(at(0, 10, 0.0, 0.0), -Vec3::Y));
+        assert!(close(at(7, 0, 0.3, 0.0), Vec3::Z));
+        // Weighted with the solid angle, directions cancel.
+        let mut sum = Vec3::ZERO;
+        for pixel in 0..800 {
+            let latitude = ((pixel / 40) as f32 + 0.5) / 20.0 * core::f32::consts::PI;
+            sum += camera.ray(pixel, 0.5, 0.5).1 * latitude.sin();
+        }
+        assert!(sum.length() < 1e-3, "{sum}");
+    }
+
+    #[test]
+    fn a_plan_has_north_up_and_parallel_rays() {
+        let camera = camera(Projection::Plan, 4.0, [1.0, 2.0, 0.0]);
+        let (origin, direction) = camera.ray(0, 0.0, 0.0);
+        assert!(close(origin, Vec3::new(1.0 - 4.0, 2.0 + 2.0, 3.0)), "{origin}");
+        assert!(close(direction, -Vec3::Z));
+        assert_eq!(camera.ray(799, 0.5, 0.5).1, direction);
+    }
+
+    #[test]
+    fn views_that_cannot_be() {
+        let record = |target, fov_degrees| ViewRecord {
+            eye: [0.0; 3],
+            target,
+            up: [0.0, 0.0, 1.0],
+            fov_degrees,
+            width: 4,
+            height: 3,
+        };
+        for (target, fov, projection) in [
+            ([0.0; 3], 60.0, Projection::Perspective),
+            ([0.0, 0.0, 1.0], 60.0, Projection::Panorama),
+            ([1.0, 0.0, 0.0], 180.0, Projection::Perspective),
+            ([1.0, 0.0, 0.0], f32::NAN, Projection::Perspective),
+            ([1.0, 0.0, 0.0], 0.0, Projection::Plan),
+        ] {
+            assert!(Camera::new(&record(target, fov), projection).is_err(), "{target:?} {fov}");
+        }
+    }
+}

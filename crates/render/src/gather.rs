@@ -41,15 +41,24 @@ impl Shader<'_> {
         self.add_caustics(record, surface, throughput * lobes.diffuse, scratch);
         let context = self.context;
         let (_, local) = context.pixel(record.light);
-        let count = context.gather_rays;
         // One sequence over all samples of the pixel, scrambled per pixel and bounce.
         let scramble = rng::block(context.seed, Purpose::Gather, local, 0, record.bounce, 0);
-        let flux = throughput * lobes.diffuse / count as f32;
+        // The pixel's rays are shared out among its first samples. What is seen in a mirror gets one of each.
+        let (rays, weight) = if record.bounce > 0 {
+            (record.photon..record.photon + 1, 1.0)
+        } else if record.photon < context.samples {
+            let (all, samples) = (u64::from(context.gather_rays), u64::from(context.samples));
+            let until = |sample: u64| (sample * all / samples) as u32;
+            let sample = u64::from(record.photon);
+            (until(sample)..until(sample + 1), context.samples as f32 / context.gather_rays as f32)
+        } else {
+            (0..0, 0.0)
+        };
         if record.bounce == 0 {
-            self.film.add_gather_rays(self.film_pixel(record), count);
+            self.film.add_gather_rays(self.film_pixel(record), rays.end - rays.start);
         }
-        for ray in 0..count {
-            let index = record.photon.wrapping_mul(count).wrapping_add(ray);
+        let flux = throughput * lobes.diffuse * weight;
+        for index in rays {
             let [x, y] = sobol(index);
             let u = [rng::unit(x ^ scramble[0]), rng::unit(y ^ scramble[1])];
             // The bounces of a gather ray are counted apart from those of the path that it comes from.

@@ -494,17 +494,11 @@ impl Driver<'_> {
                 }
             }
             let mut records = vec![PixelRecord::default(); pixels as usize];
-            work.film.resolve_each(0, |pixel| samples[pixel], &mut records);
+            let gathering = self.context.samples;
+            work.film.resolve_each(0, |pixel| samples[pixel], gathering, &mut records);
             if self.args.indirect == Indirect::FinalGather && self.args.gather_smoothing > 0.0 {
                 let share = self.args.gather_smoothing;
-                smooth::smooth(
-                    &work.film,
-                    self.context,
-                    first_pixel,
-                    &samples,
-                    share,
-                    &mut records,
-                );
+                smooth::smooth(&work.film, self.context, first_pixel, share, &mut records);
             }
             self.writer.append(
                 ExtentKind::Film,

@@ -146,7 +146,7 @@ pub(crate) struct Context<'a> {
     pub(crate) job_rays: u64,
     pub(crate) gather: Gather,
     pub(crate) indirect: Indirect,
-    /// Gather rays of a camera ray's point.
+    /// Gather rays of a pixel.
     pub(crate) gather_rays: u32,
     /// Sums of the lights' powers, normalised to 1.
     pub(crate) power: &'a [f64],
@@ -418,8 +418,8 @@ impl Shader<'_> {
                 _ => 0.0,
             };
         }
-        let rays = if record.flags & TRANSIT_GATHER != 0 { self.context.gather_rays } else { 1 };
-        self.context.half(record.photon / rays)
+        // Gather rays that count are one to a sample, see there.
+        self.context.half(record.photon)
     }
 
     pub(crate) fn tile_of(&self, leaf: u32) -> u32 {

@@ -3,8 +3,8 @@
 //! Irradiance from other surfaces changes slowly, and the slower the farther away these are: over a distance `x` by about
 //! `x / R`, where `R` is the harmonic mean of the distances to what is around (Ward, Rubinstein and Clear 1988, "A Ray
 //! Tracing Solution for Diffuse Interreflection", the split-sphere model). Gather rays measure `R`. So a pixel
-//! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, not at all
-//! in a corner. What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
+//! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, two pixels
+//! in a corner. (A pixel that sees an edge takes that of the pixels next to it.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
 //! left alone.
 //!
 //! A band of the picture is smoothed on its own: the same pixels whatever the budget, threads and tiles.
@@ -17,6 +17,8 @@ use crate::shade::Context;
 
 /// Pixels to each side that are looked at.
 const REACH: u32 = 8;
+/// Pixels over which it is averaged in corners as well.
+const LEAST: u32 = 2;
 /// Least cosine between the normals of pixels that see one surface.
 const SAME_NORMAL: f32 = 0.97;
 /// Least length of a mean normal: below, the pixel sees several surfaces.
@@ -32,9 +34,8 @@ struct Seen {
     position: Vec3,
     /// Zero where the pixel sees several surfaces, or none.
     normal: Vec3,
-    /// What gather rays have added, over the albedo, times the samples.
+    /// What gather rays have added, over the albedo.
     arrives: Vec3,
-    samples: f32,
     nearness: f32,
     room: f32,
 }
@@ -47,7 +48,6 @@ pub(crate) fn smooth(
     film: &Film,
     context: &Context<'_>,
     first_pixel: u32,
-    samples: &[u32],
     share: f32,
     records: &mut [PixelRecord],
 ) {
@@ -60,15 +60,13 @@ pub(crate) fn smooth(
             let (origin, direction) = view.camera.ray(local, 0.5, 0.5);
             let normal = Vec3::from(record.normal);
             let flat = normal.length() > FLAT && record.depth > 0.0;
-            let gathered = film.gathered(pixel, samples[pixel]);
-            let samples = samples[pixel] as f32;
+            let gathered = film.gathered(pixel, context.samples);
             let arrives =
                 Vec3::from(gathered.radiance) / Vec3::from(record.albedo).max(Vec3::splat(DARK));
             Seen {
                 position: origin + direction * record.depth,
                 normal: if flat { normal } else { Vec3::ZERO },
-                arrives: arrives * samples,
-                samples,
+                arrives,
                 nearness: gathered.nearness,
                 room: record.room,
             }
@@ -88,8 +86,8 @@ pub(crate) fn smooth(
             let (mut sum, mut weight) = (0.0f32, 0.0f32);
             context.neighbours(first_pixel, count, pixel, 2, |other, _| {
                 if alike(&seen[pixel], &seen[other]) {
-                    sum += seen[other].nearness * seen[other].samples;
-                    weight += seen[other].samples;
+                    sum += seen[other].nearness;
+                    weight += 1.0;
                 }
             });
             if weight > 0.0 { sum / weight } else { f32::INFINITY }
@@ -97,25 +95,26 @@ pub(crate) fn smooth(
         .collect();
     for pixel in 0..count {
         let own = &seen[pixel];
-        if own.normal == Vec3::ZERO {
-            continue;
-        }
+        let flat = own.normal != Vec3::ZERO;
         let albedo = Vec3::from(records[pixel].albedo);
         let reach = share / near[pixel].max(1e-6);
         let (mut sum, mut weights) = (Vec3::ZERO, Vec3::ZERO);
-        context.neighbours(first_pixel, count, pixel, REACH, |other, squares| {
+        let pixels = if flat { REACH } else { 1 };
+        context.neighbours(first_pixel, count, pixel, pixels, |other, squares| {
             let there = &seen[other];
             let weight = 1.0 - (own.position - there.position).length() / reach;
-            // A round window, so that the reach's end is no edge.
-            let weight = weight.min(1.0 - squares as f32 / ((REACH + 1) * (REACH + 1)) as f32);
-            if weight > 0.0 && (other == pixel || alike(own, there)) {
+            let window = |pixels: u32| 1.0 - squares as f32 / ((pixels + 1) * (pixels + 1)) as f32;
+            // A round window, so that the reach's end is no edge; and some pixels always, for a picture shows no less.
+            let weight = weight.min(window(REACH)).max(window(LEAST));
+            let alike = if flat { alike(own, there) } else { own.room == there.room };
+            if weight > 0.0 && (other == pixel || alike) {
                 let reflects = Vec3::from(records[other].albedo);
                 let known = Vec3::select(reflects.cmpge(Vec3::splat(DARK)), Vec3::ONE, Vec3::ZERO);
                 sum += there.arrives * known * weight;
-                weights += known * (weight * there.samples);
+                weights += known * weight;
             }
         });
-        let before = own.arrives / own.samples;
+        let before = own.arrives;
         let after = Vec3::select(weights.cmpgt(Vec3::ZERO), sum / weights, before);
         let change = albedo * (after - before);
         let known = albedo.cmpge(Vec3::splat(DARK));
