@@ -117,6 +117,7 @@ fn everything(scene: &Path, output: &Path, args: &StageArgs) -> Result<()> {
             scene: scene.to_path_buf(),
             output: store.clone(),
             partition: args.partition.clone(),
+            views: args.render.views_of_the_scene()?,
             force: args.force,
             common: quiet_stage.clone(),
         },

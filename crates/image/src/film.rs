@@ -27,13 +27,26 @@ const INDIRECT: usize = 3;
 const ALBEDO: usize = 6;
 const NORMAL: usize = 9;
 const DEPTH: usize = 12;
-const CHANNELS: usize = 13;
+const GATHERED: usize = 13;
+const NEARNESS: usize = 16;
+const RAYS: usize = 17;
+const NOISE: usize = 18;
+const CHANNELS: usize = 19;
 
 /// One pixel's sums.
 #[derive(Default)]
 struct Cell {
     sums: [AtomicI64; CHANNELS],
     room: AtomicU32,
+}
+
+/// What gather rays say about a pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Gathered {
+    /// Radiance that they have added, W/m²/sr, mean over the samples that sent them.
+    pub radiance: [f32; 3],
+    /// Mean of one over the distance to what they met first, 1/m; 0 where they met nothing.
+    pub nearness: f32,
 }
 
 /// What did not fit into one `i64`. All three parts are sums of integers, so their values do not
@@ -90,6 +103,71 @@ impl Film {
     /// Adds radiance (W/m²/sr) that came by way of the photon maps.
     pub fn add_indirect(&self, pixel: u32, rgb: [f32; 3]) {
         self.add(pixel, INDIRECT, &rgb);
+    }
+
+    /// Adds radiance (W/m²/sr) that gather rays from what is seen first have found. It is part of the indirect light, and
+    /// kept apart besides.
+    pub fn add_gathered(&self, pixel: u32, rgb: [f32; 3]) {
+        self.add(pixel, GATHERED, &rgb);
+    }
+
+    /// Counts gather rays that start at what is seen first.
+    pub fn add_gather_rays(&self, pixel: u32, rays: u32) {
+        self.add(pixel, RAYS, &[rays as f32]);
+    }
+
+    /// Adds one over the distance at which such a ray met something, 1/m.
+    pub fn add_nearness(&self, pixel: u32, nearness: f32) {
+        self.add(pixel, NEARNESS, &[nearness]);
+    }
+
+    /// Adds luminance with the sign of the half of the samples that it comes from: in the end, how far the halves are apart.
+    pub fn add_noise(&self, pixel: u32, signed: f32) {
+        self.add(pixel, NOISE, &[signed]);
+    }
+
+    /// Sum of what [`Film::add_noise`] was told about a pixel.
+    pub fn noise(&self, pixel: usize) -> f64 {
+        self.sum(&self.wide(), pixel, NOISE)
+    }
+
+    /// Sum of the luminance of a pixel's direct and indirect light over its samples, W/m²/sr.
+    pub fn luminance(&self, pixel: usize) -> f64 {
+        let wide = self.wide();
+        let sum = |first: usize| {
+            [0.2126, 0.7152, 0.0722]
+                .iter()
+                .zip(first..)
+                .map(|(weight, channel)| weight * self.sum(&wide, pixel, channel))
+                .sum::<f64>()
+        };
+        sum(DIRECT) + sum(INDIRECT) + sum(GATHERED)
+    }
+
+    /// What gather rays of so many samples say about a pixel.
+    pub fn gathered(&self, pixel: usize, gathering: u32) -> Gathered {
+        let wide = self.wide();
+        let sum = |channel| self.sum(&wide, pixel, channel);
+        let (gathering, rays) = (f64::from(gathering.max(1)), sum(RAYS).max(1.0));
+        Gathered {
+            radiance: [0, 1, 2].map(|c| (sum(GATHERED + c) / gathering) as f32),
+            nearness: (sum(NEARNESS) / rays) as f32,
+        }
+    }
+
+    /// A channel's sum.
+    fn sum(&self, wide: &BTreeMap<(u32, u8), Wide>, pixel: usize, channel: usize) -> f64 {
+        let Some(cell) = self.cells.get(pixel) else { return 0.0 };
+        let sum = cell.sums[channel].load(Relaxed);
+        let side = if wide.is_empty() { None } else { wide.get(&(pixel as u32, channel as u8)) };
+        match side {
+            None => sum as f64 / UNITS,
+            Some(side) => {
+                let fine = i128::from(sum) + (i128::from(side.carries) << 64);
+                let coarse = side.high as f64 * TWO_64 + side.low as f64;
+                fine as f64 / UNITS + coarse * LARGE_UNIT
+            }
+        }
     }
 
     /// Adds what one sample sees first: diffuse albedo, unit normal, distance in m.
@@ -157,31 +235,32 @@ impl Film {
     /// [`Film::resolve`] for the pixels from `first` on, so that a big film can be resolved through
     /// a small buffer.
     pub fn resolve_from(&self, first: usize, samples: u32, out: &mut [PixelRecord]) {
+        self.resolve_each(first, |_| samples, samples, out);
+    }
+
+    /// [`Film::resolve_from`] where each pixel has samples of its own number; `gathering` of them, in all pixels, sent gather rays.
+    pub fn resolve_each(
+        &self,
+        first: usize,
+        samples: impl Fn(usize) -> u32,
+        gathering: u32,
+        out: &mut [PixelRecord],
+    ) {
+        let gathering = f64::from(gathering.max(1));
         let wide = self.wide();
-        let samples = f64::from(samples.max(1));
         let cells = self.cells.get(first..).unwrap_or_default();
         for ((i, cell), record) in cells.iter().enumerate().zip(out) {
-            let mean = |channel: usize| -> f32 {
-                let sum = cell.sums[channel].load(Relaxed);
-                let side = if wide.is_empty() {
-                    None
-                } else {
-                    wide.get(&((first + i) as u32, channel as u8))
-                };
-                let total = match side {
-                    None => sum as f64 / UNITS,
-                    Some(side) => {
-                        let fine = i128::from(sum) + (i128::from(side.carries) << 64);
-                        let coarse = side.high as f64 * TWO_64 + side.low as f64;
-                        fine as f64 / UNITS + coarse * LARGE_UNIT
-                    }
-                };
-                (total / samples) as f32
-            };
+            let pixel = first + i;
+            let samples = f64::from(samples(pixel).max(1));
+            let mean = |channel: usize| (self.sum(&wide, pixel, channel) / samples) as f32;
             let rgb = |c: usize| [mean(c), mean(c + 1), mean(c + 2)];
+            let both = |c: usize| {
+                let sum = |channel| self.sum(&wide, pixel, channel);
+                (sum(INDIRECT + c) / samples + sum(GATHERED + c) / gathering) as f32
+            };
             *record = PixelRecord {
                 direct: rgb(DIRECT),
-                indirect: rgb(INDIRECT),
+                indirect: [both(0), both(1), both(2)],
                 albedo: rgb(ALBEDO),
                 normal: rgb(NORMAL),
                 depth: mean(DEPTH),
@@ -312,6 +391,27 @@ mod tests {
         film.clear();
         assert_eq!(film.rejected(), 0);
         assert_eq!(resolved(&film, 1), vec![PixelRecord::default(); 2]);
+    }
+
+    #[test]
+    fn gathered_light_is_indirect_and_kept_apart() {
+        let film = Film::new(2);
+        film.add_indirect(1, [1.0, 2.0, 3.0]);
+        film.add_gathered(1, [0.5, 0.25, 8.0]);
+        film.add_gather_rays(1, 4);
+        film.add_nearness(1, 2.0);
+        film.add_nearness(1, 6.0);
+        film.add_noise(1, 3.0);
+        film.add_noise(1, -1.0);
+        let mut out = [PixelRecord::default(); 2];
+        film.resolve_each(0, |pixel| [1, 2][pixel], 4, &mut out);
+        assert_eq!(out[1].indirect, [0.625, 1.0625, 3.5]);
+        let gathered = Gathered { radiance: [0.125, 0.0625, 2.0], nearness: 2.0 };
+        assert_eq!(film.gathered(1, 4), gathered);
+        assert_eq!(film.gathered(0, 2), Gathered::default());
+        assert_eq!((film.noise(1), film.noise(0)), (2.0, 0.0));
+        let expected = 0.2126 * 1.5 + 0.7152 * 2.25 + 0.0722 * 11.0;
+        assert!((film.luminance(1) - expected).abs() < 1e-6);
     }
 
     #[test]

@@ -7,7 +7,7 @@ use png::{BitDepth, ColorType, Encoder, EncodingError, SrgbRenderingIntent};
 
 use crate::aside::Aside;
 use crate::exposure::beauty;
-use crate::tone::{self, encode_srgb, tone_map};
+use crate::tone::{self, Tone, encode_srgb};
 use crate::{ImageError, Picture, Rows, rows};
 
 /// Writes a picture as 8-bit sRGB PNG: radiance times `exposure` (see [`crate::exposure`]) through
@@ -18,6 +18,16 @@ pub fn write_png(path: &Path, picture: &Picture, exposure: f32) -> Result<(), Im
 
 /// [`write_png`] for a picture that is read row by row; [`crate::scratch_bytes`] of memory.
 pub fn write_png_from(path: &Path, rows: &mut dyn Rows, exposure: f32) -> Result<(), ImageError> {
+    write_png_toned(path, rows, exposure, Tone::Filmic)
+}
+
+/// [`write_png_from`] with a choice of tone mapping.
+pub fn write_png_toned(
+    path: &Path,
+    rows: &mut dyn Rows,
+    exposure: f32,
+    tone: Tone,
+) -> Result<(), ImageError> {
     let (width, height) = rows::size(path, rows)?;
     write_rgb(path, width, height, |canvas| {
         let mut bytes = Vec::with_capacity(3 * width as usize);
@@ -27,7 +37,7 @@ pub fn write_png_from(path: &Path, rows: &mut dyn Rows, exposure: f32) -> Result
                 for (x, pixel) in row.iter().enumerate() {
                     let threshold = tone::dither(x, first_row as usize + y);
                     bytes.extend(
-                        tone_map(beauty(pixel), exposure)
+                        tone.map(beauty(pixel), exposure)
                             .map(|c| (encode_srgb(c) * 255.0 + threshold) as u8),
                     );
                 }
@@ -83,6 +93,7 @@ fn failed(path: &Path, error: EncodingError) -> ImageError {
 pub(crate) mod tests {
     use super::*;
     use crate::rows::tests::{Failing, noise};
+    use crate::tone::tone_map;
     use enf_layout::film::PixelRecord;
 
     /// Width, height and RGB bytes of a PNG.

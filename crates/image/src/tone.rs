@@ -23,6 +23,36 @@ fn filmic(x: f32) -> f32 {
     (hable(SPEED * x) / hable(SPEED * WHITE)).clamp(0.0, 1.0)
 }
 
+/// How radiance becomes display values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tone {
+    /// [`tone_map`]: highlights roll off, hues stay.
+    #[default]
+    Filmic,
+    /// As it is; what is too bright for the screen is cut off, channel by channel.
+    Linear,
+}
+
+impl Tone {
+    /// Radiance times `exposure` as linear display values in `[0, 1]`.
+    pub fn map(self, rgb: [f32; 3], exposure: f32) -> [f32; 3] {
+        match self {
+            Self::Filmic => tone_map(rgb, exposure),
+            Self::Linear => rgb.map(|c| {
+                let c = c * exposure;
+                // What is no number is black.
+                if c > 0.0 { c.min(1.0) } else { 0.0 }
+            }),
+        }
+    }
+}
+
+/// The exposure of an exposure value (EV at ISO 100): 1.2 times 2 to its power, in cd/m², is display white (ISO 12232,
+/// saturation-based speed, without the lens).
+pub fn exposure_of_ev(ev: f32) -> f32 {
+    LUMENS_PER_WATT / (1.2 * libm::exp2f(ev))
+}
+
 /// Radiance times `exposure`, through the filmic curve, as linear display values in `[0, 1]`.
 ///
 /// The curve works on luminance, so hues do not turn; what is too bright and too saturated for a
@@ -72,6 +102,16 @@ pub(crate) fn dither(x: usize, y: usize) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn linear_is_linear_up_to_white() {
+        assert_eq!(Tone::Linear.map([0.1, 0.5, 3.0], 0.5), [0.05, 0.25, 1.0]);
+        assert_eq!(Tone::Linear.map([-1.0, f32::NAN, f32::INFINITY], 1.0), [0.0, 0.0, 1.0]);
+        assert_eq!(Tone::Filmic.map([0.1, 0.5, 3.0], 0.5), tone_map([0.1, 0.5, 3.0], 0.5));
+        // EV 7: white at 153.6 cd/m2; a step is a factor of two.
+        assert!((exposure_of_ev(7.0) * 153.6 / LUMENS_PER_WATT - 1.0).abs() < 1e-6);
+        assert_eq!(exposure_of_ev(6.0), 2.0 * exposure_of_ev(7.0));
+    }
     use proptest::prelude::*;
 
     #[test]

@@ -133,7 +133,7 @@ pub struct ViewRecord {
     pub target: [f32; 3],
     /// Up direction.
     pub up: [f32; 3],
-    /// Vertical field of view, degrees.
+    /// Vertical field of view, degrees; of a plan, the height of what it shows, m (0 = all).
     pub fov_degrees: f32,
     /// Picture width, pixels; 0 = default.
     pub width: u32,

@@ -18,6 +18,9 @@ pub const TRANSIT_SHADOW: u16 = 16;
 /// A photon that was aimed at an opening when another one was reflected outside: it takes flux from that one, and is not
 /// counted.
 pub const TRANSIT_AIMED: u16 = 32;
+/// A gather ray, or a shadow ray of one: a ray that asks how much light a surface gets from another. `light` is the pixel,
+/// `photon` counts the pixel's gather rays, flux is what the eye gets of the radiance that it finds.
+pub const TRANSIT_GATHER: u16 = 64;
 /// Inside solid glass: the light swings across the plane of incidence (s).
 pub const TRANSIT_ACROSS: u16 = 1 << 14;
 /// Inside solid glass: the light swings along the plane of incidence (p).

@@ -417,6 +417,7 @@ fn numbers() -> String {
         ("TRANSIT_CAMERA", TRANSIT_CAMERA.into()),
         ("TRANSIT_SHADOW", TRANSIT_SHADOW.into()),
         ("TRANSIT_AIMED", TRANSIT_AIMED.into()),
+        ("TRANSIT_GATHER", TRANSIT_GATHER.into()),
         ("TRANSIT_ACROSS", TRANSIT_ACROSS.into()),
         ("TRANSIT_ALONG", TRANSIT_ALONG.into()),
     ] {

@@ -118,6 +118,9 @@ pub struct Cli {
     #[command(flatten)]
     #[allow(missing_docs)]
     pub partition: PartitionArgs,
+    /// Views that a later stage will ask for by name: refused before anything is computed if the scene has not got them.
+    #[arg(skip)]
+    pub views: Vec<String>,
     /// Discard another run's store
     #[arg(long)]
     pub force: bool,

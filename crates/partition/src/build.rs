@@ -297,6 +297,7 @@ fn write_tables(
         lights: world.light_names.clone(),
         profiles: world.profiles.names.clone(),
         views: scene.views.iter().map(|v| v.name.clone()).collect(),
+        projections: scene.views.iter().map(|v| v.projection.name().to_string()).collect(),
         units: scene.frame().units,
         y_up: scene.frame().up == Up::Y,
     };

@@ -75,6 +75,10 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
         let _span = lane.span("read scene", 0u32);
         enf_scene::load(&cli.scene, &options).map_err(build::lost)?
     };
+    if let Some(unknown) = cli.views.iter().find(|v| !scene.views.iter().any(|s| s.name == **v)) {
+        let known: Vec<&str> = scene.views.iter().map(|v| v.name.as_str()).collect();
+        return Err(enf_stage::failure::no_view(unknown, &known));
+    }
     let identity = identity(&scene, args);
     let store = create(&cli.output)?;
     let finished =

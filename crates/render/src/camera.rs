@@ -7,7 +7,7 @@ use enf_layout::room::ViewRecord;
 use enf_layout::segment::ExtentKind;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::Bsp;
-use enf_scene::{Frame, Up};
+use enf_scene::{Frame, Projection, Up};
 use enf_stage::resident::{TileData, TileReader};
 use enf_stage::tables::Tables;
 use enf_stage::{Failure, Result};
@@ -24,6 +24,10 @@ pub(crate) const DEFAULT_WIDTH: u32 = 960;
 pub(crate) const DEFAULT_HEIGHT: u32 = 600;
 /// Vertical field of view of viewpoints that were found, degrees.
 const FOUND_FOV: f32 = 58.0;
+/// A plan is cut at this height above the floor, m: below the heads of doors.
+const CUT_M: f32 = 1.9;
+/// What a plan shows about the rooms, m.
+const MARGIN_M: f32 = 0.6;
 /// How many viewpoints `--view auto` finds.
 const AUTO_VIEWS: usize = 3;
 
@@ -36,14 +40,16 @@ pub struct View {
     pub camera: Camera,
 }
 
-/// A pinhole camera.
+/// Where a picture's rays start, and where they go.
 #[derive(Clone, Copy, Debug)]
 pub struct Camera {
-    /// Eye, m.
+    /// Eye, m; of a plan, the picture's middle.
     pub eye: Vec3,
+    projection: Projection,
     forward: Vec3,
-    /// Half the picture's width and height at distance 1.
+    /// To the right: half the picture's width, at distance 1 in perspective and in m of a plan; length 1 of a panorama.
     right: Vec3,
+    /// Downwards, likewise.
     down: Vec3,
     /// Pixels.
     pub width: u32,
@@ -56,7 +62,10 @@ impl Camera {
     ///
     /// # Errors
     /// A view that looks nowhere, or straight along its up direction.
-    pub fn new(record: &ViewRecord) -> std::result::Result<Self, &'static str> {
+    pub fn new(
+        record: &ViewRecord,
+        projection: Projection,
+    ) -> std::result::Result<Self, &'static str> {
         let (eye, target) = (Vec3::from(record.eye), Vec3::from(record.target));
         let forward = (target - eye).normalize_or_zero();
         let right = forward.cross(Vec3::from(record.up)).normalize_or_zero();
@@ -66,13 +75,33 @@ impl Camera {
         if right == Vec3::ZERO {
             return Err("the view looks straight along its up direction; give another up");
         }
-        if !(record.fov_degrees > 0.0 && record.fov_degrees < 180.0) {
-            return Err("the field of view is not between 0 and 180 degrees");
-        }
-        let half = libm::tanf(record.fov_degrees.to_radians() * 0.5);
-        let aspect = record.width as f32 / record.height as f32;
+        // Whatever a panorama looks at, its horizon is level.
+        let forward = match projection {
+            Projection::Panorama => Vec3::from(record.up).cross(right).normalize_or_zero(),
+            _ => forward,
+        };
+        let half = match projection {
+            Projection::Perspective => {
+                if !(record.fov_degrees > 0.0 && record.fov_degrees < 180.0) {
+                    return Err("the field of view is not between 0 and 180 degrees");
+                }
+                libm::tanf(record.fov_degrees.to_radians() * 0.5)
+            }
+            Projection::Panorama => 1.0,
+            Projection::Plan => {
+                if !(record.fov_degrees > 0.0 && record.fov_degrees.is_finite()) {
+                    return Err("a plan's height is not a positive number of metres");
+                }
+                record.fov_degrees * 0.5
+            }
+        };
+        let aspect = match projection {
+            Projection::Panorama => 1.0,
+            _ => record.width as f32 / record.height as f32,
+        };
         Ok(Self {
             eye,
+            projection,
             forward,
             right: right * (half * aspect),
             down: forward.cross(right) * half,
@@ -81,18 +110,57 @@ impl Camera {
         })
     }
 
-    /// Unit direction through a pixel at a place in it, both from `[0, 1)`.
-    pub fn direction(&self, pixel: u32, dx: f32, dy: f32) -> Vec3 {
+    /// Origin (m) and unit direction of the ray through a pixel at a place in it, both from `[0, 1)`.
+    pub fn ray(&self, pixel: u32, dx: f32, dy: f32) -> (Vec3, Vec3) {
         let (x, y) = (pixel % self.width, pixel / self.width);
         let u = (x as f32 + dx) / self.width as f32 * 2.0 - 1.0;
         let v = (y as f32 + dy) / self.height as f32 * 2.0 - 1.0;
-        (self.forward + self.right * u + self.down * v).normalize()
+        match self.projection {
+            Projection::Perspective => {
+                (self.eye, (self.forward + self.right * u + self.down * v).normalize())
+            }
+            Projection::Panorama => {
+                let (sin, cos) = libm::sincosf(u * core::f32::consts::PI);
+                let (below, flat) = libm::sincosf(v * core::f32::consts::FRAC_PI_2);
+                let level = self.forward * cos + self.right * sin;
+                (self.eye, (level * flat + self.down * below).normalize())
+            }
+            Projection::Plan => (self.eye + self.right * u + self.down * v, self.forward),
+        }
+    }
+
+    /// Whether it is a plan, whose rays start anywhere.
+    pub fn is_plan(&self) -> bool {
+        self.projection == Projection::Plan
     }
 
     /// Pixels of the picture.
     pub fn pixels(&self) -> u32 {
         self.width * self.height
     }
+}
+
+/// A view that is to be taken, its size still open.
+type Found = (String, Projection, ViewRecord);
+
+/// Views that the command line asks for by names that the scene itself must have.
+///
+/// # Errors
+/// Exit 4 for a bad view file.
+pub(crate) fn named(args: &RenderArgs) -> Result<Vec<String>> {
+    let mut own = Vec::new();
+    if let Some(path) = &args.views {
+        // Names are the same in any frame.
+        let frame = Frame { units: 1.0, up: Up::Z, origin: [0.0; 3] };
+        let file =
+            enf_scene::load_views(path, &frame).map_err(|e| Failure::input(e.to_string()))?;
+        own.extend(file.into_iter().map(|v| v.name));
+    }
+    let found = |name: &&String| {
+        let of_a_room = ["room:", "panorama:", "plan:"].iter().any(|p| name.starts_with(p));
+        of_a_room || ["auto", "all"].contains(&name.as_str()) || own.contains(*name)
+    };
+    Ok(args.view.iter().filter(|n| !found(n)).cloned().collect())
 }
 
 /// Resolves what the command line asks for.
@@ -107,34 +175,54 @@ pub(crate) fn views(
 ) -> Result<Vec<View>> {
     let bsp = tables.bsp()?;
     let finder = Finder { tables, bsp: &bsp, reader, last: RefCell::new(None) };
-    let mut found: Vec<(String, ViewRecord)> = Vec::new();
-    let mut known: Vec<(String, ViewRecord)> =
-        tables.names.views.iter().cloned().zip(tables.views().iter().copied()).collect();
+    let mut found: Vec<Found> = Vec::new();
+    let projections = tables.names.projections.iter().map(|p| Projection::of(p));
+    let projections = projections.map(Option::unwrap_or_default);
+    let projections = projections.chain(std::iter::repeat(Projection::default()));
+    let mut known: Vec<Found> = tables
+        .names
+        .views
+        .iter()
+        .zip(projections)
+        .zip(tables.views())
+        .map(|((name, projection), record)| (name.clone(), projection, *record))
+        .collect();
+    let frame = Frame {
+        units: tables.names.units,
+        up: if tables.names.y_up { Up::Y } else { Up::Z },
+        origin: tables.scene.origin,
+    };
     if let Some(path) = &args.views {
-        let frame = Frame {
-            units: tables.names.units,
-            up: if tables.names.y_up { Up::Y } else { Up::Z },
-            origin: tables.scene.origin,
-        };
         let file =
             enf_scene::load_views(path, &frame).map_err(|e| Failure::input(e.to_string()))?;
-        let file: Vec<_> = file.into_iter().map(|v| (v.name, v.record)).collect();
+        let file: Vec<_> = file.into_iter().map(|v| (v.name, v.projection, v.record)).collect();
         if args.view.is_empty() {
             found.extend(file.iter().cloned());
         }
         known.extend(file);
     }
+    if let Some(camera) = args.camera()? {
+        let record = camera
+            .record(&frame)
+            .map_err(|(what, remedy)| Failure::usage(format!("--eye: {what}")).with_hint(remedy))?;
+        found.push(("camera".into(), camera.projection, record));
+    }
     let auto = ["auto".to_string()];
     let wanted: &[String] =
-        if args.view.is_empty() && args.views.is_none() { &auto } else { &args.view };
+        if args.view.is_empty() && found.is_empty() { &auto } else { &args.view };
     for name in wanted {
         if name == "auto" {
             for room in finder.telling_rooms(maps)? {
-                found.push((format!("room-{room}"), finder.look_around(room)?));
+                let record = finder.look_around(room)?;
+                found.push((format!("room-{room}"), Projection::Perspective, record));
             }
         } else if name == "all" {
             found.extend(known.iter().cloned());
-        } else if let Some(room) = name.strip_prefix("room:") {
+        } else if let Some(view) = known.iter().find(|v| &v.0 == name) {
+            found.push(view.clone());
+        } else if let Some((kind, room)) = name.split_once(':')
+            && ["room", "panorama", "plan"].contains(&kind)
+        {
             let room = room.parse().ok().filter(|&r: &u32| (r as usize) < tables.rooms().len());
             let room = room.ok_or_else(|| {
                 Failure::usage(format!(
@@ -142,28 +230,31 @@ pub(crate) fn views(
                     tables.rooms().len() - 1
                 ))
             })?;
-            found.push((format!("room-{room}"), finder.stand_in(room)?));
-        } else if let Some(view) = known.iter().find(|v| &v.0 == name) {
-            found.push(view.clone());
+            let view = match kind {
+                "plan" => (Projection::Plan, finder.storey(room)),
+                "panorama" => (Projection::Panorama, finder.panorama(room)?),
+                _ => (Projection::Perspective, finder.stand_in(room)?),
+            };
+            found.push((format!("{kind}-{room}"), view.0, view.1));
         } else {
             let names: Vec<&str> = known.iter().map(|v| v.0.as_str()).collect();
-            return Err(Failure::usage(format!("there is no view {name}")).with_hint(format!(
-                "views of this scene: {}; also auto, all and room:ID",
-                if names.is_empty() { "none".into() } else { names.join(", ") }
-            )));
+            return Err(enf_stage::failure::no_view(name, &names));
         }
     }
     if found.is_empty() {
         return Err(Failure::usage("no view to render").with_hint("--view auto finds three"));
     }
     let mut views: Vec<View> = Vec::new();
-    for (name, mut record) in found {
-        record.width =
-            args.width.unwrap_or(if record.width > 0 { record.width } else { DEFAULT_WIDTH });
-        record.height =
-            args.height.unwrap_or(if record.height > 0 { record.height } else { DEFAULT_HEIGHT });
-        let camera =
-            Camera::new(&record).map_err(|e| Failure::input(format!("view {name}: {e}")))?;
+    for (name, projection, mut record) in found {
+        let whole = projection == Projection::Plan && record.fov_degrees == 0.0;
+        let shown = whole.then(|| finder.shown(&mut record));
+        let (width, height) = sides(args, projection, &record, shown);
+        (record.width, record.height) = (width, height);
+        if let Some(shown) = shown {
+            record.fov_degrees = shown[1].max(shown[0] * height as f32 / width as f32);
+        }
+        let camera = Camera::new(&record, projection)
+            .map_err(|e| Failure::input(format!("view {name}: {e}")))?;
         if !views.iter().any(|v| v.name == name) {
             views.push(View { name, camera });
         }
@@ -176,6 +267,32 @@ pub(crate) fn views(
         return Err(Failure::usage("the pictures have more than 4294967295 pixels together"));
     }
     Ok(views)
+}
+
+/// Width and height of a picture: what the flags say, else the view, else what fits. `shown` is what a plan of a whole
+/// storey shows, m.
+fn sides(
+    args: &RenderArgs,
+    projection: Projection,
+    record: &ViewRecord,
+    shown: Option<[f32; 2]>,
+) -> (u32, u32) {
+    let said = |flag: Option<u32>, view: u32| flag.or((view > 0).then_some(view));
+    let (width, height) = (said(args.width, record.width), said(args.height, record.height));
+    // Width over height.
+    let shape = match (projection, shown) {
+        (Projection::Panorama, _) => 2.0,
+        (Projection::Plan, Some([x, y])) if x > 0.0 && y > 0.0 => x / y,
+        _ => return (width.unwrap_or(DEFAULT_WIDTH), height.unwrap_or(DEFAULT_HEIGHT)),
+    };
+    let of = |side: f32| (side.round() as u32).clamp(1, 65_536);
+    match (width, height) {
+        (Some(width), Some(height)) => (width, height),
+        (Some(width), None) => (width, of(width as f32 / shape)),
+        (None, Some(height)) => (of(height as f32 * shape), height),
+        (None, None) if shape >= 1.0 => (DEFAULT_WIDTH, of(DEFAULT_WIDTH as f32 / shape)),
+        (None, None) => (of(DEFAULT_WIDTH as f32 * shape), DEFAULT_WIDTH),
+    }
 }
 
 /// Looks around in rooms.
@@ -209,6 +326,56 @@ impl Finder<'_> {
         }
         scores.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         Ok(scores.into_iter().take(AUTO_VIEWS).map(|s| s.1).collect())
+    }
+
+    /// All about a point in a room, the longest free way in the middle.
+    fn panorama(&self, room: u32) -> Result<ViewRecord> {
+        let eye = Vec3::from(self.tables.rooms()[room as usize].inside);
+        let (farthest, _) = self.around(eye)?;
+        Ok(record(eye, eye + farthest))
+    }
+
+    /// A plan of the storey that a room is on, cut where doorways are open still.
+    fn storey(&self, room: u32) -> ViewRecord {
+        let room = &self.tables.rooms()[room as usize];
+        let inside = Vec3::from(room.inside);
+        let height = (0.85 * (room.max[2] - room.min[2])).min(CUT_M);
+        let eye = inside.with_z(room.min[2] + height);
+        let down = record(eye, eye - Vec3::Z);
+        ViewRecord { up: [0.0, 1.0, 0.0], fov_degrees: 0.0, ..down }
+    }
+
+    /// Width and height of the storey that a plan shows, m, without regard to the picture's shape; moves the plan to its
+    /// middle.
+    fn shown(&self, record: &mut ViewRecord) -> [f32; 2] {
+        let eye = Vec3::from(record.eye);
+        let forward = (Vec3::from(record.target) - eye).normalize_or_zero();
+        let right = forward.cross(Vec3::from(record.up)).normalize_or_zero();
+        let down = forward.cross(right);
+        let (mut min, mut max) = ([f32::INFINITY; 2], [f32::NEG_INFINITY; 2]);
+        for room in self.tables.rooms() {
+            let outside = room.flags & LEAF_OUTSIDE != 0;
+            if outside || eye.z < room.min[2] || eye.z > room.max[2] {
+                continue;
+            }
+            for corner in 0..8usize {
+                let at = |axis: usize| [room.min, room.max][corner >> axis & 1][axis];
+                let way = Vec3::new(at(0), at(1), at(2)) - eye;
+                for (axis, side) in [right, down].into_iter().enumerate() {
+                    min[axis] = min[axis].min(way.dot(side));
+                    max[axis] = max[axis].max(way.dot(side));
+                }
+            }
+        }
+        if min[0] > max[0] {
+            // Above or below everything: as much as an ordinary storey.
+            return [32.0, 20.0];
+        }
+        let middle = right * ((min[0] + max[0]) * 0.5) + down * ((min[1] + max[1]) * 0.5);
+        record.eye = (eye + middle).to_array();
+        record.target = (eye + middle + forward).to_array();
+        // The walls about the rooms, and some paper.
+        [max[0] - min[0] + 2.0 * MARGIN_M, max[1] - min[1] + 2.0 * MARGIN_M]
     }
 
     fn stand_in(&self, room: u32) -> Result<ViewRecord> {
@@ -322,4 +489,85 @@ pub(crate) fn place(index: u32, shift: [f32; 2]) -> (f32, f32) {
         if v >= 1.0 { v - 1.0 } else { v }
     };
     (fraction(x, shift[0]), fraction(y, shift[1]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn camera(projection: Projection, fov: f32, target: [f32; 3]) -> Camera {
+        let record = ViewRecord {
+            eye: [1.0, 2.0, 3.0],
+            target,
+            up: if projection == Projection::Plan { [0.0, 1.0, 0.0] } else { [0.0, 0.0, 1.0] },
+            fov_degrees: fov,
+            width: 40,
+            height: 20,
+        };
+        Camera::new(&record, projection).unwrap()
+    }
+
+    fn close(a: Vec3, b: Vec3) -> bool {
+        (a - b).length() < 1e-5
+    }
+
+    #[test]
+    fn perspective_spans_its_field_of_view() {
+        let camera = camera(Projection::Perspective, 90.0, [1.0, 5.0, 3.0]);
+        let corner = 20 * 10 * 2 + 20;
+        let (eye, ahead) = camera.ray(corner, 0.0, 0.0);
+        assert!(eye == camera.eye && close(ahead, Vec3::Y), "{ahead}");
+        // Up by 45 degrees, and twice as far to the left.
+        let (_, first) = camera.ray(0, 0.0, 0.0);
+        assert!(close(first, Vec3::new(-2.0, 1.0, 1.0).normalize()), "{first}");
+    }
+
+    #[test]
+    fn a_panorama_is_all_directions_once_and_level() {
+        // Looking up does not tilt the horizon.
+        let camera = camera(Projection::Panorama, 60.0, [1.0, 5.0, 7.0]);
+        let at = |x: u32, y: u32, dx, dy| camera.ray(y * 40 + x, dx, dy).1;
+        assert!(close(at(20, 10, 0.0, 0.0), Vec3::Y));
+        assert!(close(at(30, 10, 0.0, 0.0), Vec3::X));
+        assert!(close(at(10, 10, 0.0, 0.0), -Vec3::X));
+        assert!(close(at(0, 10, 0.0, 0.0), -Vec3::Y));
+        assert!(close(at(7, 0, 0.3, 0.0), Vec3::Z));
+        // Weighted with the solid angle, directions cancel.
+        let mut sum = Vec3::ZERO;
+        for pixel in 0..800 {
+            let latitude = ((pixel / 40) as f32 + 0.5) / 20.0 * core::f32::consts::PI;
+            sum += camera.ray(pixel, 0.5, 0.5).1 * latitude.sin();
+        }
+        assert!(sum.length() < 1e-3, "{sum}");
+    }
+
+    #[test]
+    fn a_plan_has_north_up_and_parallel_rays() {
+        let camera = camera(Projection::Plan, 4.0, [1.0, 2.0, 0.0]);
+        let (origin, direction) = camera.ray(0, 0.0, 0.0);
+        assert!(close(origin, Vec3::new(1.0 - 4.0, 2.0 + 2.0, 3.0)), "{origin}");
+        assert!(close(direction, -Vec3::Z));
+        assert_eq!(camera.ray(799, 0.5, 0.5).1, direction);
+    }
+
+    #[test]
+    fn views_that_cannot_be() {
+        let record = |target, fov_degrees| ViewRecord {
+            eye: [0.0; 3],
+            target,
+            up: [0.0, 0.0, 1.0],
+            fov_degrees,
+            width: 4,
+            height: 3,
+        };
+        for (target, fov, projection) in [
+            ([0.0; 3], 60.0, Projection::Perspective),
+            ([0.0, 0.0, 1.0], 60.0, Projection::Panorama),
+            ([1.0, 0.0, 0.0], 180.0, Projection::Perspective),
+            ([1.0, 0.0, 0.0], f32::NAN, Projection::Perspective),
+            ([1.0, 0.0, 0.0], 0.0, Projection::Plan),
+        ] {
+            assert!(Camera::new(&record(target, fov), projection).is_err(), "{target:?} {fov}");
+        }
+    }
 }

@@ -1,16 +1,15 @@
 //! Developing: finished bands become picture files, a few rows at a time.
 
-use std::path::{Path, PathBuf};
-
 use enf_image::{
-    ImageError, Rows, RowsError, exposure_from, write_exr_from, write_hdr_from, write_png_from,
+    ImageError, Rows, RowsError, exposure_from, falsecolour_png_from, write_exr_from,
+    write_hdr_from, write_png_toned,
 };
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_stage::{ExitStatus, Failure, Result};
 use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
 
-use crate::{BAND_PIXELS, View};
+use crate::{BAND_PIXELS, Exposure, Format, Output, RenderArgs, View};
 
 /// A view's rows, read from the bands of the store.
 struct FilmRows<'a> {
@@ -67,8 +66,8 @@ pub(crate) fn develop(
     store: &StoreDir,
     budget: &MemoryBudget,
     views: &[View],
-    pictures: &[Vec<PathBuf>],
-    exposure: Option<f32>,
+    pictures: &[Vec<Output>],
+    args: &RenderArgs,
 ) -> Result<()> {
     let reader = StageReader::open(store, StageKind::Render)?;
     let mut first_pixel = 0;
@@ -84,7 +83,7 @@ pub(crate) fn develop(
             band: None,
         };
         for file in files {
-            write(file, &mut rows, exposure).map_err(failure)?;
+            write(file, &mut rows, args).map_err(failure)?;
         }
         first_pixel += view.camera.pixels();
     }
@@ -102,19 +101,21 @@ fn failure(error: ImageError) -> Failure {
 }
 
 fn write(
-    file: &Path,
+    file: &Output,
     rows: &mut FilmRows<'_>,
-    exposure: Option<f32>,
+    args: &RenderArgs,
 ) -> std::result::Result<(), ImageError> {
-    match file.extension().and_then(|e| e.to_str()) {
-        Some("exr") => write_exr_from(file, rows),
-        Some("hdr") => write_hdr_from(file, rows),
-        _ => {
-            let exposure = match exposure {
-                Some(factor) => factor,
-                None => exposure_from(file, rows)?,
+    let path = &file.path;
+    match file.format {
+        Format::Exr => write_exr_from(path, rows),
+        Format::Hdr => write_hdr_from(path, rows),
+        Format::Falsecolour => falsecolour_png_from(path, rows, args.falsecolour_max),
+        Format::Png => {
+            let exposure = match args.exposure {
+                Exposure::Factor(factor) => factor,
+                Exposure::Auto => exposure_from(path, rows)?,
             };
-            write_png_from(file, rows, exposure)
+            write_png_toned(path, rows, exposure, args.tone.into())
         }
     }
 }

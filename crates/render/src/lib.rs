@@ -4,16 +4,21 @@
 //! pixels; a finished band is committed, so that a run that was killed goes on with the next.
 #![forbid(unsafe_code)]
 
+mod adaptive;
+mod args;
 mod camera;
+mod caustics;
 mod daylight;
 mod film;
+mod gather;
 mod shade;
+mod smooth;
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use clap::{Args, ValueEnum};
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use enf_illumination::{Gather, IrradianceCache, Kernel, PhotonMap};
 use enf_image::Film;
@@ -26,95 +31,26 @@ use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, IoContext, Progress, Result, RowTable, Scheduler,
-    Selection, interrupt, parse_count, say,
+    Selection, interrupt, say,
 };
 use enf_store::{
     Buffer, Extent, Identity, MemoryBudget, Reservation, StageReader, StageState, StageWriter,
     StoreDir, StoreError,
 };
-use enf_trace::{QueueArgs, queue_shape};
+use enf_trace::queue_shape;
 use serde_json::Value;
 use zerocopy::IntoBytes;
 
+use caustics::Caustics;
+
+pub use args::{Cli, Exposure, Format, Indirect, ProjectionArg, RenderArgs, ToneArg};
 pub use camera::{Camera, View};
-use shade::{Context, Job, Products, RoomLight, RoomMap, Scratch, Waiting, Work};
+use shade::{Context, Job, Pass, Products, RoomLight, RoomMap, Scratch, Waiting, Work};
 
 /// Pixels that are finished together. Part of the format of an unfinished render, hence no flag.
 const BAND_PIXELS: u32 = 1 << 15;
-/// Rays of one job.
-const JOB_RAYS: u64 = 2048;
 /// Rays of one visit.
 const VISIT_RAYS: u64 = 1 << 20;
-
-/// Where indirect light comes from.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Indirect {
-    /// The photon maps, directly.
-    #[default]
-    PhotonMap,
-    /// Nowhere: direct light alone.
-    None,
-}
-
-/// What decides about the pictures.
-#[derive(Args, Clone, Debug)]
-#[command(next_help_heading = "Picture options")]
-pub struct RenderArgs {
-    /// A view by name, room:ID (stand there), auto (three viewpoints are found) or all (the scene's own); repeatable
-    #[arg(long, value_name = "VIEW")]
-    pub view: Vec<String>,
-    /// More views: a file with [[view]] tables; without --view, all of them
-    #[arg(long, value_name = "FILE")]
-    pub views: Option<PathBuf>,
-    /// Picture width, pixels [default: the view's, else 960]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=65536))]
-    pub width: Option<u32>,
-    /// Picture height, pixels [default: the view's, else 600]
-    #[arg(long, value_name = "PIXELS", value_parser = clap::value_parser!(u32).range(1..=65536))]
-    pub height: Option<u32>,
-    /// Camera rays per pixel
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=65536))]
-    pub samples: u32,
-    /// Shadow rays per shading point
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=4096))]
-    pub light_samples: u32,
-    /// Photons that irradiance is estimated from (k of the k nearest)
-    #[arg(long, value_name = "N", default_value = "120", value_parser = parse_count)]
-    pub gather_photons: u64,
-    /// Where indirect light comes from
-    #[arg(long, value_enum, default_value_t)]
-    pub indirect: Indirect,
-    /// Exposure of PNG pictures: what linear radiance is multiplied with [default: found per picture]
-    #[arg(long, value_name = "FACTOR")]
-    pub exposure: Option<f32>,
-}
-
-/// `enf-render`: the command line.
-#[derive(clap::Parser, Clone, Debug)]
-#[command(name = "enf-render", version, about = "Render pictures from a store, room by room")]
-pub struct Cli {
-    /// The store
-    #[arg(value_name = "NAME.enf")]
-    pub store: PathBuf,
-    /// The picture (.exr, .png or .hdr), or a folder for VIEW.png and VIEW.exr of each view [default: .]
-    #[arg(short, long, value_name = "FILE|DIR", default_value = ".")]
-    pub output: PathBuf,
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub render: RenderArgs,
-    /// Flags of the queue.
-    #[command(flatten)]
-    pub queue: QueueArgs,
-    /// Do not read ids from standard input: start at once
-    #[arg(long)]
-    pub all_rooms: bool,
-    /// Overwrite another run's pictures
-    #[arg(long)]
-    pub force: bool,
-    #[command(flatten)]
-    #[allow(missing_docs)]
-    pub common: CommonArgs,
-}
 
 /// Runs the stage; prints the paths of the pictures on standard output.
 ///
@@ -145,7 +81,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
         delta: tables.scene.delta,
     };
     let views = camera::views(args, &tables, &reader, &maps)?;
-    let pictures = outputs(&cli.output, &views)?;
+    let pictures = outputs(&cli.output, &args.formats, &views)?;
 
     if session::may_work(&store, StageKind::Render, cli.force) {
         refuse_if_hopeless(cli, &tables, &reader, &maps, &budget, &views)?;
@@ -160,7 +96,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
             shown = render(cli, &mut session, &readers, &views, *writer)?;
         }
     }
-    film::develop(&store, &budget, &views, &pictures, args.exposure)?;
+    film::develop(&store, &budget, &views, &pictures, args)?;
     let stats = &mut session.stats;
     stats.set("rays_camera", shown.camera);
     stats.set("rays_shadow", shown.shadow);
@@ -174,7 +110,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     stats.set("table.evictions", shown.evictions);
     stats.set("table.spilled_blocks", shown.spilled_blocks);
     stats.set("io.spilled_records", shown.spilled_records);
-    let pictures: Vec<&PathBuf> = pictures.iter().flatten().collect();
+    let pictures: Vec<&PathBuf> = pictures.iter().flatten().map(|p| &p.path).collect();
     let names: Vec<Value> = pictures.iter().map(|p| p.to_string_lossy().into()).collect();
     stats.set("pictures", names);
     let stats = session.finish(common, "render", &store)?;
@@ -195,9 +131,10 @@ fn refuse_if_hopeless(
 ) -> Result<()> {
     let common = &cli.common;
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
-    let together = Scratch::ray_bytes(cli.render.light_samples) * common.threads as u64;
-    let rays =
-        RowTable::<TransitRecord>::memory_bytes(rows, block) + bytes_in_flight(common) + together;
+    let together = Scratch::ray_bytes(cli.render.asking()) * common.threads as u64;
+    let rays = RowTable::<TransitRecord>::memory_bytes(rows, block)
+        + bytes_in_flight(common, &cli.render)
+        + together;
     let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
     let film = film_bytes(pixels.min(BAND_PIXELS));
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
@@ -208,7 +145,7 @@ fn refuse_if_hopeless(
         }
         let map = match cli.render.indirect {
             Indirect::None => 0,
-            Indirect::PhotonMap => maps
+            Indirect::PhotonMap | Indirect::FinalGather => maps
                 .find(ExtentKind::Map, id as u32)
                 .iter()
                 .map(|e| e.raw_bytes + IrradianceCache::bytes(e.count as usize))
@@ -237,19 +174,33 @@ fn refuse_if_hopeless(
 }
 
 /// Products of the jobs under way.
-fn bytes_in_flight(common: &CommonArgs) -> u64 {
-    JOB_RAYS * 4 * size_of::<TransitRecord>() as u64 * (common.threads as u64 + 4)
+fn bytes_in_flight(common: &CommonArgs, args: &RenderArgs) -> u64 {
+    let products = args.job_rays() * u64::from(args.asking() + 1);
+    products * size_of::<TransitRecord>() as u64 * (common.threads as u64 + 4)
 }
 
 /// A band of film and its developed pixels.
 fn film_bytes(pixels: u32) -> u64 {
-    (Film::bytes_per_pixel() + size_of::<PixelRecord>()) as u64 * u64::from(pixels)
+    let each = Film::bytes_per_pixel()
+        + size_of::<PixelRecord>()
+        + adaptive::BYTES_PER_PIXEL
+        + smooth::BYTES_PER_PIXEL;
+    each as u64 * u64::from(pixels)
+}
+
+/// A picture's file.
+#[derive(Clone, Debug)]
+struct Output {
+    path: PathBuf,
+    format: Format,
 }
 
 /// The files of each view.
-fn outputs(output: &Path, views: &[View]) -> Result<Vec<Vec<PathBuf>>> {
-    let extension = output.extension().and_then(|e| e.to_str()).unwrap_or("");
-    if ["exr", "png", "hdr"].contains(&extension) && !output.is_dir() {
+fn outputs(output: &Path, formats: &[Format], views: &[View]) -> Result<Vec<Vec<Output>>> {
+    let name = output.file_name().and_then(|n| n.to_str()).unwrap_or("");
+    if let Some(format) = Format::of(name)
+        && !output.is_dir()
+    {
         if views.len() > 1 {
             return Err(Failure::usage(format!(
                 "{} is one picture, but there are {} views",
@@ -261,7 +212,7 @@ fn outputs(output: &Path, views: &[View]) -> Result<Vec<Vec<PathBuf>>> {
         if let Some(parent) = output.parent().filter(|p| !p.as_os_str().is_empty()) {
             std::fs::create_dir_all(parent).at("create", parent)?;
         }
-        return Ok(vec![vec![output.to_path_buf()]]);
+        return Ok(vec![vec![Output { path: output.to_path_buf(), format }]]);
     }
     std::fs::create_dir_all(output).at("create", output)?;
     Ok(views
@@ -272,7 +223,13 @@ fn outputs(output: &Path, views: &[View]) -> Result<Vec<Vec<PathBuf>>> {
                 .chars()
                 .map(|c| if c.is_alphanumeric() || "-_. ".contains(c) { c } else { '-' })
                 .collect();
-            vec![output.join(format!("{name}.png")), output.join(format!("{name}.exr"))]
+            let mut files: Vec<Output> = Vec::new();
+            for &format in formats {
+                if !files.iter().any(|f| f.format == format) {
+                    files.push(Output { path: output.join(format.file(&name)), format });
+                }
+            }
+            files
         })
         .collect())
 }
@@ -284,7 +241,20 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
     identity.push("samples", args.samples);
     identity.push("light-samples", args.light_samples);
     identity.push("gather-photons", args.gather_photons);
-    identity.push("indirect", if args.indirect == Indirect::None { "none" } else { "photon-map" });
+    let indirect = match args.indirect {
+        Indirect::PhotonMap => "photon-map",
+        Indirect::FinalGather => "final-gather",
+        Indirect::None => "none",
+    };
+    identity.push("indirect", indirect);
+    if args.indirect == Indirect::FinalGather {
+        identity.push("gather-rays", args.gather_rays);
+        identity.push("gather-smoothing", args.gather_smoothing);
+    }
+    if args.more_samples() > 0 {
+        identity.push("max-samples", args.max_samples);
+        identity.push("noise", args.noise);
+    }
     for view in views {
         identity.push(format!("view {}", view.name), format!("{:?}", view.camera));
     }
@@ -296,7 +266,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
 fn yield_to_another_picture(
     store: &StoreDir,
     identity: &Identity,
-    pictures: &[Vec<PathBuf>],
+    pictures: &[Vec<Output>],
     force: bool,
 ) -> Result<()> {
     let found = store.stage_state(StageKind::Render).and_then(|state| {
@@ -311,7 +281,7 @@ fn yield_to_another_picture(
         }
         Err(error) => return Err(error.into()),
     };
-    let in_the_way = pictures.iter().flatten().any(|p| p.exists());
+    let in_the_way = pictures.iter().flatten().any(|p| p.path.exists());
     if found != *identity && (force || !in_the_way) {
         store.discard_from(StageKind::Render)?;
     }
@@ -349,8 +319,8 @@ fn render(
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
     let _queue = budget
         .reserve(RowTable::<TransitRecord>::memory_bytes(rows, block), "table of incoming rays")?;
-    let together = Scratch::ray_bytes(args.light_samples) * common.threads as u64;
-    let _jobs = budget.reserve(bytes_in_flight(common) + together, "rays in flight")?;
+    let together = Scratch::ray_bytes(args.asking()) * common.threads as u64;
+    let _jobs = budget.reserve(bytes_in_flight(common, args) + together, "rays in flight")?;
 
     let mut first_pixels = vec![0u32];
     for view in views {
@@ -366,12 +336,14 @@ fn render(
         seed: common.seed,
         samples: args.samples,
         light_samples: args.light_samples,
+        job_rays: args.job_rays(),
         gather: Gather {
             photons: args.gather_photons.clamp(2, 1 << 20) as u32,
             radius: f32::INFINITY,
             kernel: Kernel::Constant,
         },
-        indirect: args.indirect != Indirect::None,
+        indirect: args.indirect,
+        gather_rays: args.gather_rays,
         power: &power,
         daylight: daylight.as_ref(),
     };
@@ -415,6 +387,7 @@ fn render(
         drop((take_job, done));
         let mut driver = Driver {
             common,
+            args,
             context: &context,
             readers,
             budget: budget.clone(),
@@ -444,6 +417,7 @@ fn render(
 /// The main thread: chooses tiles, hands out jobs, owns the table of incoming rays.
 struct Driver<'a> {
     common: &'a CommonArgs,
+    args: &'a RenderArgs,
     context: &'a Context<'a>,
     readers: &'a Readers<'a>,
     budget: MemoryBudget,
@@ -466,8 +440,17 @@ struct Band {
     _reservation: Reservation,
     first_pixel: u32,
     pixels: u32,
-    /// Samples that tiles with an eye in them have still to send off.
-    unsent: BTreeMap<u32, u64>,
+    pass: Pass,
+    /// Camera rays of the pass that have still to be sent off.
+    launches: Vec<Launch>,
+}
+
+/// Where a view's camera rays start from: the tile of its eye. Those of an eye in a doorway, or of a plan, are
+/// parked from there at the tiles that they start in.
+struct Launch {
+    tile: u32,
+    /// Rays of the pass, all of one view.
+    left: Range<u64>,
 }
 
 impl Driver<'_> {
@@ -489,16 +472,36 @@ impl Driver<'_> {
                     other => break other?,
                 }
             };
-            let mut band_at_work = Band {
+            let mut work = Band {
                 film: Arc::new(Film::new(pixels as usize)),
                 _reservation: reservation,
                 first_pixel,
                 pixels,
-                unsent: BTreeMap::new(),
+                pass: Pass::All,
+                launches: Vec::new(),
             };
-            self.band(&mut band_at_work, &progress)?;
+            self.band(&mut work, &progress)?;
+            let mut samples = vec![self.context.samples; pixels as usize];
+            if self.args.more_samples() > 0 {
+                let more = adaptive::more(&work.film, self.context, first_pixel, self.args);
+                let mut before = Vec::with_capacity(more.len() + 1);
+                before.push(0);
+                for (samples, &more) in samples.iter_mut().zip(&more) {
+                    *samples += more;
+                    before.push(before[before.len() - 1] + u64::from(more));
+                }
+                if before[before.len() - 1] > 0 {
+                    work.pass = Pass::More(Arc::new(before));
+                    self.band(&mut work, &progress)?;
+                }
+            }
             let mut records = vec![PixelRecord::default(); pixels as usize];
-            band_at_work.film.resolve(self.context.samples, &mut records);
+            let gathering = self.context.samples;
+            work.film.resolve_each(0, |pixel| samples[pixel], gathering, &mut records);
+            if self.args.indirect == Indirect::FinalGather && self.args.gather_smoothing > 0.0 {
+                let share = self.args.gather_smoothing;
+                smooth::smooth(&work.film, self.context, first_pixel, share, &mut records);
+            }
             self.writer.append(
                 ExtentKind::Film,
                 band,
@@ -513,26 +516,38 @@ impl Driver<'_> {
         Ok(())
     }
 
+    /// One pass over a band.
     fn band(&mut self, band: &mut Band, progress: &Progress) -> Result<()> {
         let samples = u64::from(self.context.samples);
-        let all = u64::from(band.pixels) * samples;
-        // An eye in a plane sends rays to both of its sides: the tiles about each eye look at all samples.
+        let before = |pixel: u32| match &band.pass {
+            Pass::All => u64::from(pixel) * samples,
+            Pass::More(before) => before[pixel as usize],
+        };
+        let mut launches = Vec::new();
         for (i, view) in self.context.views.iter().enumerate() {
             let (first, end) = (self.context.first_pixels[i], self.context.first_pixels[i + 1]);
-            if end <= band.first_pixel || first >= band.first_pixel + band.pixels {
+            let first = first.max(band.first_pixel);
+            let end = end.min(band.first_pixel + band.pixels);
+            if first >= end {
                 continue;
             }
-            for corner in 0..8u32 {
-                let sign = |bit: u32| if corner & bit == 0 { 1.0 } else { -1.0 };
-                let towards = glam::DVec3::new(sign(1), sign(2), sign(4));
-                let leaf = self.context.bsp.locate_towards(view.camera.eye.as_dvec3(), towards);
-                band.unsent.insert(self.context.bsp.leaves[leaf as usize].tile, 0);
+            let left = before(first - band.first_pixel)..before(end - band.first_pixel);
+            if left.is_empty() {
+                continue;
             }
+            let leaf = self.context.bsp.locate(view.camera.eye.as_dvec3());
+            let tile = self.context.bsp.leaves[leaf as usize].tile;
+            self.scheduler.add(tile, left.end - left.start);
+            launches.push(Launch { tile, left });
         }
-        for &tile in band.unsent.keys() {
-            self.scheduler.add(tile, all);
-        }
-        let mut sent = 0;
+        let all: u64 = launches.iter().map(|l| l.left.end - l.left.start).sum();
+        band.launches = launches;
+        let shown = |unsent: u64| {
+            let done = u64::from(band.pixels) * samples;
+            u64::from(band.first_pixel) * samples
+                + if matches!(band.pass, Pass::All) { done.min(all - unsent) } else { done }
+        };
+        let shown = [shown(all), shown(0)];
         loop {
             let cache = &self.cache;
             let Some(tile) = self.scheduler.next(&|t| cache.is_resident(t)) else { break };
@@ -544,12 +559,12 @@ impl Driver<'_> {
             if let Some(next) = self.scheduler.next(&|t| cache.is_resident(t)) {
                 self.cache.prefetch(next)?;
             }
-            let left = self.visit(tile, &data, &light, band, all)?;
+            let left = self.visit(tile, &data, &light, band)?;
             if left > 0 {
                 self.scheduler.add(tile, left);
             }
-            sent = sent.max(band.unsent.values().copied().min().unwrap_or(all));
-            progress.set(u64::from(band.first_pixel) * samples + sent);
+            let unsent: u64 = band.launches.iter().map(|l| l.left.end - l.left.start).sum();
+            progress.set(shown[1].saturating_sub(unsent).max(shown[0]));
             progress.message(&format!("room {}", self.context.tables.tiles()[tile as usize].room));
         }
         Ok(())
@@ -600,7 +615,7 @@ impl Driver<'_> {
             return Err(Failure::input(format!("the light set of room {room} is damaged")));
         }
         let sun = daylight::adapt(&mut lights, self.context.tables, room);
-        let map = if self.context.indirect {
+        let map = if self.context.indirect != Indirect::None {
             let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
             let photons = extent.count as usize;
             loop {
@@ -608,8 +623,13 @@ impl Driver<'_> {
                     let bytes = IrradianceCache::bytes(photons);
                     let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
                     let map = self.readers.maps.map(&extent, &self.budget, "photon map")?;
-                    let cache = IrradianceCache::new(&PhotonMap::from_blob(&map)?);
-                    Ok(RoomMap { map, cache, _reservation: reservation })
+                    let photons = PhotonMap::from_blob(&map)?;
+                    let cache = IrradianceCache::new(&photons);
+                    let caustics = match self.context.indirect {
+                        Indirect::FinalGather => Caustics::of(&photons, &self.budget)?,
+                        _ => None,
+                    };
+                    Ok(RoomMap { map, cache, caustics, _reservation: reservation })
                 };
                 match attempt() {
                     Ok(map) => break Some(map),
@@ -647,8 +667,8 @@ impl Driver<'_> {
         data: &Arc<TileData>,
         light: &Arc<RoomLight>,
         band: &mut Band,
-        all: u64,
     ) -> Result<u64> {
+        let job_rays = self.context.job_rays;
         let memory: Vec<TransitRecord> = self.rows.take(tile).collect();
         let mut flying = 0;
         let mut handed = memory.len() as u64;
@@ -657,6 +677,7 @@ impl Driver<'_> {
             light: Arc::clone(light),
             film: Arc::clone(&band.film),
             first_pixel: band.first_pixel,
+            pass: band.pass.clone(),
             work,
         };
         let mut outcome = Ok(());
@@ -683,8 +704,8 @@ impl Driver<'_> {
                 None => break,
             };
             let count = batch.records().len();
-            for first in (0..count).step_by(JOB_RAYS as usize) {
-                let range = first..(first + JOB_RAYS as usize).min(count);
+            for first in (0..count).step_by(job_rays as usize) {
+                let range = first..(first + job_rays as usize).min(count);
                 let work = Work::Waiting { records: Arc::clone(&batch), range };
                 outcome = outcome.and(self.send(job(work), &mut flying));
             }
@@ -695,17 +716,29 @@ impl Driver<'_> {
             left += rest.iter().map(|e| e.count).sum::<u64>();
             self.waiting.entry(tile).or_default().extend(rest);
         }
-        let mut cursor = band.unsent.get(&tile).copied().unwrap_or(all);
-        while outcome.is_ok() && cursor < all && handed < VISIT_RAYS {
-            let end = (cursor + JOB_RAYS).min(all);
-            let work = Work::Camera { indices: cursor..end };
-            outcome = self.send(job(work), &mut flying);
-            handed += end - cursor;
-            cursor = end;
-        }
-        if let Some(unsent) = band.unsent.get_mut(&tile) {
-            *unsent = cursor;
-            left += all - cursor;
+        for i in 0..band.launches.len() {
+            let (from, Range { start, end }) =
+                (band.launches[i].tile, band.launches[i].left.clone());
+            let mut cursor = start;
+            while from == tile && outcome.is_ok() && cursor < end && handed < VISIT_RAYS {
+                let stop = (cursor + job_rays).min(end);
+                let work = Work::Camera { indices: cursor..stop };
+                let job = Job {
+                    tile: Arc::clone(data),
+                    light: Arc::clone(light),
+                    film: Arc::clone(&band.film),
+                    first_pixel: band.first_pixel,
+                    pass: band.pass.clone(),
+                    work,
+                };
+                outcome = self.send(job, &mut flying);
+                handed += stop - cursor;
+                cursor = stop;
+            }
+            band.launches[i].left.start = cursor;
+            if from == tile {
+                left += end - cursor;
+            }
         }
         while flying > 0 {
             outcome = outcome.and(self.receive(&mut flying));

@@ -1,8 +1,8 @@
 //! What a rendering thread does: camera rays look, shadow rays ask, and the film adds up.
 //!
 //! Radiance at a diffuse surface is emitted + direct (shadow rays to lights chosen by importance) + indirect
-//! (the photon map of the point's room: Jensen 2001, chapter 7; the paper, section 6). Mirrors, gloss, panes and solid
-//! glass send the camera ray on.
+//! (the photon map of the point's room: Jensen 2001, chapter 7; the paper, section 6; or gather rays, see
+//! [`crate::gather`]). Mirrors, gloss, panes and solid glass send the camera ray on.
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -11,10 +11,11 @@ use enf_geometry::{Hit, Query};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
+use enf_layout::bsp::LEAF_SOLID;
 use enf_layout::light::{LIGHT_AREA, LIGHT_PROFILE, LIGHT_SPOT, LIGHT_SUN, LightRecord};
 use enf_layout::material::MaterialRecord;
 use enf_layout::sections::Malformed;
-use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_SHADOW, TransitRecord};
+use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_GATHER, TRANSIT_SHADOW, TransitRecord};
 use enf_rooms::Bsp;
 use enf_stage::resident::TileData;
 use enf_stage::tables::Tables;
@@ -29,11 +30,23 @@ use enf_transport::texture::{Coordinates, Texturing};
 use enf_transport::vector;
 use glam::Vec3;
 
+use crate::Indirect;
 use crate::camera::{self, View};
+use crate::caustics::Caustics;
 use crate::daylight;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
+
+/// Nothing is nearer than this, m, when the mean distance to what is around is asked for.
+const NEAREST_M: f32 = 1e-3;
+
+/// A shadow ray of a sample of the second half ([`Context::half`]) ...
+const MARK_SECOND_HALF: u16 = 1;
+/// ... or of neither.
+const MARK_NO_HALF: u16 = 2;
+/// A gather ray's shadow ray, whose path began at what is seen after a bounce.
+const MARK_LATER: u16 = 4;
 
 /// Steps of the five-dimensional Kronecker sequence (Roberts 2018: powers of 1/1.13472...), as 32-bit fractions.
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
@@ -51,6 +64,8 @@ pub(crate) struct RoomLight {
 pub(crate) struct RoomMap {
     pub(crate) map: Mapped,
     pub(crate) cache: IrradianceCache,
+    /// For final gathering, where there are any.
+    pub(crate) caustics: Option<Caustics>,
     pub(crate) _reservation: Reservation,
 }
 
@@ -84,7 +99,18 @@ pub(crate) struct Job {
     pub(crate) film: Arc<Film>,
     /// First pixel of the band.
     pub(crate) first_pixel: u32,
+    /// Where the band is at.
+    pub(crate) pass: Pass,
     pub(crate) work: Work,
+}
+
+/// A pass over a band: all pixels get the same samples first, then some of them more.
+#[derive(Clone)]
+pub(crate) enum Pass {
+    /// So many samples of each pixel.
+    All,
+    /// Further samples: how many the pixels before have together, for each pixel and for the end.
+    More(Arc<Vec<u64>>),
 }
 
 /// What came of a job.
@@ -93,6 +119,7 @@ pub(crate) struct Products {
     pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
     pub(crate) camera: u64,
     pub(crate) shadow: u64,
+    /// Gather rays; without final gathering, estimates.
     pub(crate) gathers: u64,
 }
 
@@ -115,8 +142,12 @@ pub(crate) struct Context<'a> {
     pub(crate) seed: u64,
     pub(crate) samples: u32,
     pub(crate) light_samples: u32,
+    /// Rays of one job.
+    pub(crate) job_rays: u64,
     pub(crate) gather: Gather,
-    pub(crate) indirect: bool,
+    pub(crate) indirect: Indirect,
+    /// Gather rays of a pixel.
+    pub(crate) gather_rays: u32,
     /// Sums of the lights' powers, normalised to 1.
     pub(crate) power: &'a [f64],
     /// The sky, if there is one.
@@ -125,12 +156,12 @@ pub(crate) struct Context<'a> {
 
 /// One thread's working memory.
 pub(crate) struct Scratch {
-    gather: GatherScratch,
+    pub(crate) gather: GatherScratch,
     weights: Vec<f32>,
     /// Rays that are followed together.
     group: Vec<TransitRecord>,
-    /// Shadow rays that will be.
-    shadows: Vec<TransitRecord>,
+    /// Shadow and gather rays that will be.
+    asking: Vec<TransitRecord>,
     queries: Vec<Query>,
     hits: Vec<Option<Hit>>,
 }
@@ -139,12 +170,12 @@ impl Scratch {
     /// Rays that are followed together.
     const GROUP: usize = 512;
 
-    /// Bytes of the rays that are followed together, when each comes with so many shadow rays.
-    pub(crate) fn ray_bytes(light_samples: u32) -> u64 {
+    /// Bytes of the rays that are followed together, when each comes with so many others that ask for light.
+    pub(crate) fn ray_bytes(asking: u32) -> u64 {
         let asked = size_of::<TransitRecord>() + size_of::<Query>() + size_of::<Option<Hit>>();
         // Vectors that grow by doubling.
-        let shadows = 2 * (light_samples as usize + 1) * size_of::<TransitRecord>();
-        (Self::GROUP * (asked + shadows)) as u64
+        let asking = 2 * asking as usize * size_of::<TransitRecord>();
+        (Self::GROUP * (asked + asking)) as u64
     }
 
     pub(crate) fn new(photons: u32) -> Self {
@@ -152,7 +183,7 @@ impl Scratch {
             gather: GatherScratch::new(photons),
             weights: Vec::new(),
             group: Vec::new(),
-            shadows: Vec::new(),
+            asking: Vec::new(),
             queries: Vec::new(),
             hits: Vec::new(),
         }
@@ -175,47 +206,100 @@ pub(crate) struct Sample {
 }
 
 /// A job at work.
-struct Shader<'a> {
-    context: &'a Context<'a>,
-    tile: Resident<'a>,
+pub(crate) struct Shader<'a> {
+    pub(crate) context: &'a Context<'a>,
+    pub(crate) tile: Resident<'a>,
     room: u32,
-    map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
-    portals: PortalSet<'a>,
+    pub(crate) map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
+    pub(crate) caustics: Option<PhotonMap<'a>>,
+    pub(crate) portals: PortalSet<'a>,
     lights: &'a [(u32, f32)],
     sun: bool,
-    film: &'a Film,
+    pub(crate) film: &'a Film,
     first_pixel: u32,
 }
 
 impl Context<'_> {
     /// View and pixel in it of a pixel over all views.
-    fn pixel(&self, pixel: u32) -> (&View, u32) {
+    pub(crate) fn pixel(&self, pixel: u32) -> (&View, u32) {
         let view = self.first_pixels.partition_point(|&first| first <= pixel) - 1;
         (&self.views[view], pixel - self.first_pixels[view])
     }
 
-    /// A camera ray of a job, if it starts in the job's tile.
-    fn seen(&self, job: &Job, index: u64) -> Option<TransitRecord> {
-        let pixel = job.first_pixel + (index / u64::from(self.samples)) as u32;
-        let sample = (index % u64::from(self.samples)) as u32;
+    /// Calls `each` with the pixels of a band (of `count` from `first_pixel` on) that are at most `reach` rows and
+    /// columns away from one of them in the same picture, itself included, and with their squared distance.
+    pub(crate) fn neighbours(
+        &self,
+        first_pixel: u32,
+        count: usize,
+        pixel: usize,
+        reach: u32,
+        mut each: impl FnMut(usize, u32),
+    ) {
+        let (view, local) = self.pixel(first_pixel + pixel as u32);
+        let (width, height) = (view.camera.width, view.camera.height);
+        let (x, y) = (local % width, local / width);
+        // The picture's first pixel, counted as the band's are.
+        let origin = i64::from(first_pixel) + pixel as i64 - i64::from(local);
+        for row in y.saturating_sub(reach)..=(y + reach).min(height - 1) {
+            for column in x.saturating_sub(reach)..=(x + reach).min(width - 1) {
+                let at = origin + i64::from(row) * i64::from(width) + i64::from(column)
+                    - i64::from(first_pixel);
+                if (0..count as i64).contains(&at) {
+                    let (dx, dy) = (column.abs_diff(x), row.abs_diff(y));
+                    each(at as usize, dx * dx + dy * dy);
+                }
+            }
+        }
+    }
+
+    /// A camera ray of a job.
+    fn seen(&self, job: &Job, index: u64) -> TransitRecord {
+        let (pixel, sample) = match &job.pass {
+            Pass::All => {
+                let samples = u64::from(self.samples);
+                ((index / samples) as u32, (index % samples) as u32)
+            }
+            Pass::More(before) => {
+                let pixel = before.partition_point(|&b| b <= index) - 1;
+                (pixel as u32, self.samples + (index - before[pixel]) as u32)
+            }
+        };
+        let pixel = job.first_pixel + pixel;
         let (view, local) = self.pixel(pixel);
         let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
         let (dx, dy) = camera::place(sample, [u[0], u[1]]);
-        let direction = view.camera.direction(local, dx, dy);
-        let leaf = self.bsp.locate_towards(view.camera.eye.as_dvec3(), direction.as_dvec3());
-        (self.bsp.leaves[leaf as usize].tile == job.tile.tile).then(|| TransitRecord {
-            origin: view.camera.eye.to_array(),
+        let (origin, direction) = view.camera.ray(local, dx, dy);
+        TransitRecord {
+            origin: origin.to_array(),
             direction: direction.to_array(),
             flux: [1.0; 3],
             t: 0.0,
-            leaf,
+            leaf: self.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
             light: pixel,
             photon: sample,
             bounce: 0,
             flags: TRANSIT_CAMERA,
             last_triangle: NONE,
             impacts: 0,
-        })
+        }
+    }
+
+    /// Whether a camera ray starts inside a wall that a plan cuts: it stays black there, as walls are drawn.
+    fn is_cut(&self, record: &TransitRecord) -> bool {
+        self.bsp.leaves[record.leaf as usize].flags & LEAF_SOLID != 0
+            && self.pixel(record.light).0.camera.is_plan()
+    }
+
+    /// Which half of the pixel's first samples one belongs to, as a sign; 0 where it is in neither.
+    fn half(&self, sample: u32) -> f32 {
+        if sample >= self.samples & !1 {
+            0.0
+        } else if sample & 1 == 0 {
+            1.0
+        } else {
+            -1.0
+        }
     }
 
     pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
@@ -241,6 +325,10 @@ impl Context<'_> {
                 Some(room) => Some((PhotonMap::from_blob(&room.map)?, &room.cache)),
                 None => None,
             },
+            caustics: match job.light.map.as_ref().and_then(|room| room.caustics.as_ref()) {
+                Some(caustics) => Some(caustics.map()?),
+                None => None,
+            },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
             sun: job.light.sun,
@@ -256,9 +344,20 @@ impl Context<'_> {
             Work::Camera { indices } => {
                 let mut indices = indices.clone();
                 shader.follow_all(scratch, &mut products, |products| {
-                    let record = indices.find_map(|index| self.seen(job, index))?;
-                    products.camera += 1;
-                    Some(record)
+                    // An eye in a doorway, and a plan, have rays that start elsewhere.
+                    indices.by_ref().find_map(|index| {
+                        let record = self.seen(job, index);
+                        products.camera += 1;
+                        let tile = shader.tile_of(record.leaf);
+                        if self.is_cut(&record) {
+                            return None;
+                        }
+                        if tile == shader.tile.tile {
+                            return Some(record);
+                        }
+                        products.park(tile, record);
+                        None
+                    })
                 });
             }
         }
@@ -267,15 +366,67 @@ impl Context<'_> {
 }
 
 impl Shader<'_> {
-    fn film_pixel(&self, record: &TransitRecord) -> u32 {
+    pub(crate) fn film_pixel(&self, record: &TransitRecord) -> u32 {
         record.light - self.first_pixel
     }
 
-    fn tile_of(&self, leaf: u32) -> u32 {
+    /// Adds radiance that came straight from a light.
+    fn add_direct(&self, record: &TransitRecord, radiance: Vec3) {
+        let pixel = self.film_pixel(record);
+        self.film.add_direct(pixel, radiance.to_array());
+        self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+    }
+
+    /// Adds radiance that came over other surfaces.
+    pub(crate) fn add_indirect(&self, record: &TransitRecord, radiance: Vec3) {
+        let pixel = self.film_pixel(record);
+        if self.is_gathered_first(record) {
+            self.film.add_gathered(pixel, radiance.to_array());
+        } else {
+            self.film.add_indirect(pixel, radiance.to_array());
+            self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+        }
+    }
+
+    /// Whether it is a gather ray, or a shadow ray of one, from what the eye sees first.
+    pub(crate) fn is_gathered_first(&self, record: &TransitRecord) -> bool {
+        let shadow = record.flags & TRANSIT_SHADOW != 0;
+        let later = if shadow { record.bounce & MARK_LATER } else { record.bounce & 0xff00 };
+        record.flags & TRANSIT_GATHER != 0 && later == 0
+    }
+
+    /// What a shadow ray has in place of bounces: for whom it asks.
+    fn marks(&self, record: &TransitRecord) -> u16 {
+        let sign = self.sign(record);
+        let half = if sign > 0.0 {
+            0
+        } else if sign < 0.0 {
+            MARK_SECOND_HALF
+        } else {
+            MARK_NO_HALF
+        };
+        let gather = record.flags & TRANSIT_GATHER != 0;
+        half | if gather && !self.is_gathered_first(record) { MARK_LATER } else { 0 }
+    }
+
+    /// See [`Context::half`].
+    fn sign(&self, record: &TransitRecord) -> f32 {
+        if record.flags & TRANSIT_SHADOW != 0 {
+            return match record.bounce & (MARK_SECOND_HALF | MARK_NO_HALF) {
+                0 => 1.0,
+                MARK_SECOND_HALF => -1.0,
+                _ => 0.0,
+            };
+        }
+        // Gather rays that count are one to a sample, see there.
+        self.context.half(record.photon)
+    }
+
+    pub(crate) fn tile_of(&self, leaf: u32) -> u32 {
         self.tile.bsp.leaves[leaf as usize].tile
     }
 
-    /// Follows camera and shadow rays, those that `next` gives and those that come of them, until each has ended or left
+    /// Follows camera, shadow and gather rays, those that `next` gives and those that come of them, until each has ended or left
     /// the tile.
     fn follow_all(
         &self,
@@ -288,7 +439,7 @@ impl Shader<'_> {
         loop {
             // What is under way goes first: it cannot become much more.
             while group.len() < Scratch::GROUP
-                && let Some(record) = scratch.shadows.pop()
+                && let Some(record) = scratch.asking.pop()
             {
                 group.push(record);
             }
@@ -329,7 +480,7 @@ impl Shader<'_> {
         f32::from_bits(record.photon) - 2.0 * self.tile.delta
     }
 
-    /// What becomes of a camera ray that meets `hit` next; false when that was the last of it here.
+    /// What becomes of a camera or gather ray that meets `hit` next; false when that was the last of it here.
     fn camera(
         &self,
         record: &mut TransitRecord,
@@ -345,6 +496,8 @@ impl Shader<'_> {
                 products.park(self.tile_of(leaf), *record);
                 return false;
             }
+            // Light that a gather ray finds where it began is counted elsewhere, see there.
+            Flight::Escapes { .. } if record.flags & TRANSIT_GATHER != 0 => return false,
             Flight::Escapes { .. } => {
                 if let Some(daylight) = self.context.daylight {
                     let direction = Vec3::from(record.direction);
@@ -352,8 +505,7 @@ impl Shader<'_> {
                     let gloss = f32::from_bits(record.impacts) > 0.0;
                     let seen =
                         if gloss { daylight.radiance(direction) } else { daylight.seen(direction) };
-                    let seen = Vec3::from(record.flux) * seen;
-                    self.film.add_direct(self.film_pixel(record), seen.to_array());
+                    self.add_direct(record, Vec3::from(record.flux) * seen);
                 }
                 return false;
             }
@@ -376,6 +528,15 @@ impl Shader<'_> {
         let throughput = Vec3::from(record.flux);
         let material = &self.tile.materials[surface.material as usize];
         let lobes = scatter::lobes(material, &flight::met(&self.tile, record, &hit, &surface));
+        if record.flags & TRANSIT_GATHER != 0 {
+            if record.bounce == 0 {
+                self.film.add_nearness(self.film_pixel(record), 1.0 / hit.t.max(NEAREST_M));
+            }
+            if lobes.diffuse != Vec3::ZERO {
+                self.gathered(record, &surface, &lobes, hit.t, scratch, products);
+            }
+            return self.go_on_here(record, &surface, &lobes, hit.t, products);
+        }
         let pixel = self.film_pixel(record);
         if record.bounce == 0 {
             let albedo = lobes.diffuse.to_array();
@@ -388,17 +549,30 @@ impl Shader<'_> {
             let emitted = throughput * Vec3::from(material.emission);
             let emitted = emitted * self.share_of_gloss(record, &surface, material, hit.t);
             if emitted != Vec3::ZERO {
-                self.film.add_direct(pixel, emitted.to_array());
+                self.add_direct(record, emitted);
             }
         }
         if lobes.diffuse != Vec3::ZERO || lobes.gloss().is_some() {
             self.reflect(record, &surface, throughput, &lobes, scratch, products);
         }
-        if !self.go_on(record, &surface, &lobes, throughput, hit.t) {
+        self.go_on_here(record, &surface, &lobes, hit.t, products)
+    }
+
+    /// [`Shader::go_on`]; false also when the ray goes on in another tile.
+    fn go_on_here(
+        &self,
+        record: &mut TransitRecord,
+        surface: &Surface,
+        lobes: &Lobes,
+        t: f32,
+        products: &mut Products,
+    ) -> bool {
+        if !self.go_on(record, surface, lobes, t) {
             return false;
         }
         if record.t == 0.0 {
             let direction = Vec3::from(record.direction);
+            let bsp = self.tile.bsp;
             record.leaf = bsp.locate_towards(surface.origin.as_dvec3(), direction.as_dvec3());
             let next = self.tile_of(record.leaf);
             if next != self.tile.tile {
@@ -410,22 +584,17 @@ impl Shader<'_> {
     }
 
     /// Mirror or gloss, straight on, or refracted: one of them by chance; false when the path ends.
-    fn go_on(
-        &self,
-        record: &mut TransitRecord,
-        surface: &Surface,
-        lobes: &Lobes,
-        throughput: Vec3,
-        t: f32,
-    ) -> bool {
+    fn go_on(&self, record: &mut TransitRecord, surface: &Surface, lobes: &Lobes, t: f32) -> bool {
+        let throughput = Vec3::from(record.flux);
         let gloss = lobes.gloss().is_some();
         if !gloss && lobes.mirror + lobes.transmitted + lobes.refracted == Vec3::ZERO {
             return false;
         }
         let (_, local) = self.context.pixel(record.light);
+        let gather = record.flags & TRANSIT_GATHER != 0;
         let u = rng::uniforms(
             self.context.seed,
-            Purpose::CameraScatter,
+            if gather { Purpose::GatherScatter } else { Purpose::CameraScatter },
             local,
             record.photon,
             record.bounce,
@@ -443,8 +612,8 @@ impl Shader<'_> {
             return false;
         }
         // The first interactions always go on: roulette would only add noise where the eye is sharpest. A gloss is
-        // blurred anyway.
-        let certain = record.bounce < if gloss { 1 } else { 4 };
+        // blurred anyway, and so is what gather rays find.
+        let certain = !gather && record.bounce < if gloss { 1 } else { 4 };
         let survival = if certain { 1.0 } else { (sum / total).min(scatter::MAX_SURVIVAL) };
         if u[0] >= survival {
             return false;
@@ -526,8 +695,9 @@ impl Shader<'_> {
         products: &mut Products,
     ) {
         let reflected = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
-        if self.context.indirect
-            && reflected != Vec3::ZERO
+        if self.context.indirect == Indirect::FinalGather && reflected != Vec3::ZERO {
+            self.spread(record, surface, throughput, lobes, scratch, products);
+        } else if reflected != Vec3::ZERO
             && let Some((map, cache)) = &self.map
         {
             products.gathers += 1;
@@ -539,8 +709,7 @@ impl Shader<'_> {
                 &self.portals,
                 &mut scratch.gather,
             );
-            let radiance = reflected * Vec3::from(gathered);
-            self.film.add_indirect(self.film_pixel(record), radiance.to_array());
+            self.add_indirect(record, reflected * Vec3::from(gathered));
         }
         self.direct(record, surface, throughput, lobes, scratch, products);
     }
@@ -579,8 +748,9 @@ impl Shader<'_> {
     }
 
     /// Direct light by shadow rays to lights chosen from the room's set by importance, with a small share to all
-    /// lights of the scene: every light has a probability, so nothing is biased.
-    fn direct(
+    /// lights of the scene: every light has a probability, so nothing is biased. Where a gather ray has ended there is one
+    /// ray, and none for what gloss reflects.
+    pub(crate) fn direct(
         &self,
         record: &TransitRecord,
         surface: &Surface,
@@ -590,11 +760,13 @@ impl Shader<'_> {
         products: &mut Products,
     ) {
         let context = self.context;
+        let gather = record.flags & TRANSIT_GATHER != 0;
         let matter = throughput * lobes.diffuse * core::f32::consts::FRAC_1_PI;
         let eye = -Vec3::from(record.direction);
         // What matter and gloss reflect of light from a direction; of the gloss, the share that is not found by rays that it sends on.
         let reflected = |direction: Vec3, share: &dyn Fn(f32) -> f32| match &lobes.coat {
             None => matter,
+            Some(coat) if gather => matter * coat.admits(direction.dot(surface.normal)),
             Some(coat) => {
                 let (lobe, density) = coat.evaluate(surface.normal, eye, direction);
                 matter * coat.admits(direction.dot(surface.normal))
@@ -609,11 +781,11 @@ impl Shader<'_> {
             scratch.weights.push(total);
         }
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
-        let count = context.light_samples;
+        let count = if gather { 1 } else { context.light_samples };
         let (_, local) = context.pixel(record.light);
         // A low-discrepancy sequence over all samples of the pixel, shifted at random per pixel and bounce.
-        let shift =
-            |block| rng::block(context.seed, Purpose::Shadow, local, 0, record.bounce, block);
+        let purpose = if gather { Purpose::GatherShadow } else { Purpose::Shadow };
+        let shift = |block| rng::block(context.seed, purpose, local, 0, record.bounce, block);
         let (s, t) = (shift(0), shift(1));
         for sample in 0..count {
             let index = record.photon.wrapping_mul(count).wrapping_add(sample);
@@ -705,17 +877,27 @@ impl Shader<'_> {
             leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
             light: record.light,
             photon: sample.distance.to_bits(),
-            bounce: 0,
-            flags: TRANSIT_SHADOW,
+            bounce: self.marks(record),
+            flags: TRANSIT_SHADOW | record.flags & TRANSIT_GATHER,
             last_triangle: surface.triangle,
             impacts: sample.triangle,
         };
         products.shadow += 1;
-        let next = self.tile_of(shadow.leaf);
+        self.send(shadow, scratch, products);
+    }
+
+    /// A new ray, that starts here or in another tile.
+    pub(crate) fn send(
+        &self,
+        record: TransitRecord,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let next = self.tile_of(record.leaf);
         if next == self.tile.tile {
-            scratch.shadows.push(shadow);
+            scratch.asking.push(record);
         } else {
-            products.park(next, shadow);
+            products.park(next, record);
         }
     }
 
@@ -788,7 +970,12 @@ impl Shader<'_> {
                 return flux != Vec3::ZERO;
             }
         }
-        self.film.add_direct(self.film_pixel(record), record.flux);
+        let flux = Vec3::from(record.flux);
+        if record.flags & TRANSIT_GATHER == 0 {
+            self.add_direct(record, flux);
+        } else {
+            self.add_indirect(record, flux);
+        }
         false
     }
 }

@@ -133,10 +133,12 @@ pub(crate) struct RoomTable {
 #[serde(deny_unknown_fields)]
 pub(crate) struct ViewTable {
     pub(crate) name: Option<String>,
+    pub(crate) kind: Option<String>,
     pub(crate) eye: [f64; 3],
-    pub(crate) target: [f64; 3],
+    pub(crate) target: Option<[f64; 3]>,
     pub(crate) up: Option<[f64; 3]>,
     pub(crate) fov: Option<f64>,
+    pub(crate) size: Option<f64>,
     pub(crate) width: Option<u32>,
     pub(crate) height: Option<u32>,
 }

@@ -54,7 +54,7 @@ pub use frame::{Frame, Up};
 pub use lamps::Profiles;
 pub use load::load;
 pub use texture::{Texels, Texture};
-pub use views::load_views;
+pub use views::{Camera, Projection, load_views};
 
 use enf_layout::{
     NONE,
@@ -167,7 +167,9 @@ pub struct Material {
 pub struct View {
     /// Name; unique, and safe as a file name.
     pub name: String,
-    /// The camera, in store coordinates.
+    /// What kind of picture.
+    pub projection: Projection,
+    /// The camera, in store coordinates; of a plan `fov_degrees` is the height of what it shows, m, or 0 for all.
     pub record: ViewRecord,
 }
 

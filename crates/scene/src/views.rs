@@ -15,6 +15,127 @@ const DEFAULT_FOV: f64 = 60.0;
 /// Largest picture side, pixels.
 const LARGEST_SIDE: u32 = 65_536;
 
+/// What kind of picture a view is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Projection {
+    /// As a camera sees.
+    #[default]
+    Perspective,
+    /// Everything about a point: longitude across, latitude down, what is looked at in the middle.
+    Panorama,
+    /// Parallel rays from a plane: a storey, its ceiling cut away.
+    Plan,
+}
+
+impl Projection {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Perspective, Self::Panorama, Self::Plan];
+
+    /// What scene files, flags and stores call it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Perspective => "perspective",
+            Self::Panorama => "panorama",
+            Self::Plan => "plan",
+        }
+    }
+
+    /// The one of that name.
+    pub fn of(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|p| p.name() == name)
+    }
+}
+
+/// A camera as scene files, view files and flags describe it, in the input's coordinates.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Camera {
+    /// What kind of picture.
+    pub projection: Projection,
+    /// Where it is taken from. Of a plan: the middle of the picture, at the height of the cut.
+    pub eye: [f64; 3],
+    /// What is looked at; a panorama looks along y without, a plan down.
+    pub target: Option<[f64; 3]>,
+    /// What points up in the picture; the vertical without, of plans y.
+    pub up: Option<[f64; 3]>,
+    /// Vertical field of view, degrees; 60 without. For perspective only.
+    pub fov: Option<f64>,
+    /// Height of what a plan shows, units of the input; all of the building without.
+    pub size: Option<f64>,
+    /// Picture width, pixels.
+    pub width: Option<u32>,
+    /// Picture height, pixels.
+    pub height: Option<u32>,
+}
+
+impl Camera {
+    /// The camera in store coordinates.
+    ///
+    /// # Errors
+    /// What is wrong with it, and what to do.
+    pub fn record(&self, frame: &Frame) -> Result<ViewRecord, (String, &'static str)> {
+        let fail = |what: &str, remedy| Err((what.to_string(), remedy));
+        let plan = self.projection == Projection::Plan;
+        if self.fov.is_some() && self.projection != Projection::Perspective {
+            return fail("fov is for perspective", "leave it out; a plan has a size");
+        }
+        if self.size.is_some() && !plan {
+            return fail("size is for plans", "leave it out; perspective has fov");
+        }
+        let fov = self.fov.unwrap_or(DEFAULT_FOV);
+        if !(0.1..=175.0).contains(&fov) {
+            let what = format!("fov = {fov}");
+            return fail(&what, "fov is vertical, in degrees, from 0.1 to 175");
+        }
+        let size = self.size.unwrap_or(0.0) * frame.units;
+        if self.size.is_some() && !(size > 0.0 && (size as f32).is_finite()) {
+            return fail("size is no length", "give the height of what the plan shows, above 0");
+        }
+        for (key, side) in [("width", self.width), ("height", self.height)] {
+            if side.is_some_and(|s| s == 0 || s > LARGEST_SIDE) {
+                return fail(&format!("{key} is out of range"), "give 1 to 65536 pixels");
+            }
+        }
+        let wide = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
+        let eye = frame.point(self.eye);
+        let target = match (self.target, self.projection) {
+            (Some(target), _) => frame.point(target),
+            (None, Projection::Plan) => [eye[0], eye[1], eye[2] - 1.0],
+            (None, Projection::Panorama) => [eye[0], eye[1] + 1.0, eye[2]],
+            (None, Projection::Perspective) => {
+                return fail("it has no target", "give the point that it looks at");
+            }
+        };
+        if !(wide(eye).is_finite() && wide(target).is_finite()) {
+            return fail("eye or target is not finite", "give finite coordinates");
+        }
+        let Some(ahead) = (wide(target) - wide(eye)).try_normalize() else {
+            return fail("eye and target are one point", "move one of them");
+        };
+        let up = match self.up {
+            None if ahead.z.abs() < 0.999_999 => [0.0, 0.0, 1.0],
+            // Straight up or down: the picture's top is where y points.
+            None => [0.0, 1.0, 0.0],
+            Some(up) => match frame.direction(up) {
+                Some(up) if ahead.cross(wide(up)).length() > 1e-6 => up,
+                _ => {
+                    return fail(
+                        "up is zero or points along the view",
+                        "leave it out or give another direction",
+                    );
+                }
+            },
+        };
+        Ok(ViewRecord {
+            eye,
+            target,
+            up,
+            fov_degrees: if plan { size as f32 } else { fov as f32 },
+            width: self.width.unwrap_or(0),
+            height: self.height.unwrap_or(0),
+        })
+    }
+}
+
 /// Reads a file of `[[view]]` tables, the same as in a scene file, whose coordinates are those of the
 /// scene's input: `frame` is [`crate::Scene::frame`] of the scene that they look at.
 ///
@@ -53,6 +174,7 @@ pub(crate) fn add_camera(views: &mut Vec<View>, camera: &gltf::Camera, frame: &F
     }
     views.push(View {
         name,
+        projection: Projection::Perspective,
         record: ViewRecord {
             eye,
             target: target.to_array().map(|v| v as f32),
@@ -82,48 +204,32 @@ pub(crate) fn build<T>(
         if views.iter().any(|v| v.name == name) {
             return fail("the name is taken".into(), "give every view its own name");
         }
-        let fov = table.fov.unwrap_or(DEFAULT_FOV);
-        if !(0.1..=175.0).contains(&fov) {
-            return fail(format!("fov = {fov}"), "fov is vertical, in degrees, from 0.1 to 175");
-        }
-        for (key, side) in [("width", table.width), ("height", table.height)] {
-            if side.is_some_and(|s| s == 0 || s > LARGEST_SIDE) {
-                return fail(format!("{key} is out of range"), "give 1 to 65536 pixels");
-            }
-        }
-        let (eye, target) = (frame.point(table.eye), frame.point(table.target));
-        let wide = |p: [f32; 3]| DVec3::from_array(p.map(f64::from));
-        if !(wide(eye).is_finite() && wide(target).is_finite()) {
-            return fail("eye or target is not finite".into(), "give finite coordinates");
-        }
-        let Some(ahead) = (wide(target) - wide(eye)).try_normalize() else {
-            return fail("eye and target are one point".into(), "move one of them");
-        };
-        let up = match table.up {
-            None if ahead.z.abs() < 0.999_999 => [0.0, 0.0, 1.0],
-            // Straight up or down: the picture's top is where y points.
-            None => [0.0, 1.0, 0.0],
-            Some(up) => match frame.direction(up) {
-                Some(up) if ahead.cross(wide(up)).length() > 1e-6 => up,
-                _ => {
+        let projection = match &table.kind {
+            None => Projection::Perspective,
+            Some(kind) => match Projection::of(kind) {
+                Some(projection) => projection,
+                None => {
                     return fail(
-                        "up is zero or points along the view".into(),
-                        "leave it out or give another direction",
+                        format!("kind = \"{kind}\""),
+                        "kinds are perspective, panorama and plan",
                     );
                 }
             },
         };
-        views.push(View {
-            name,
-            record: ViewRecord {
-                eye,
-                target,
-                up,
-                fov_degrees: fov as f32,
-                width: table.width.unwrap_or(0),
-                height: table.height.unwrap_or(0),
-            },
-        });
+        let camera = Camera {
+            projection,
+            eye: table.eye,
+            target: table.target,
+            up: table.up,
+            fov: table.fov,
+            size: table.size,
+            width: table.width,
+            height: table.height,
+        };
+        match camera.record(frame) {
+            Ok(record) => views.push(View { name, projection, record }),
+            Err((what, remedy)) => return fail(what, remedy),
+        }
     }
     Ok(views)
 }

@@ -76,6 +76,14 @@ pub struct Failure {
     pub hint: Option<String>,
 }
 
+/// What is said to who asks for a view that does not exist.
+pub fn no_view(name: &str, known: &[&str]) -> Failure {
+    Failure::usage(format!("there is no view {name}")).with_hint(format!(
+        "views of this scene: {}; also auto, all, room:ID, panorama:ID and plan:ID",
+        if known.is_empty() { "none".into() } else { known.join(", ") }
+    ))
+}
+
 impl Failure {
     /// A failure of this kind, without a hint.
     pub fn new(code: ExitStatus, message: impl Into<String>) -> Self {

@@ -62,6 +62,9 @@ pub struct Names {
     pub profiles: Vec<String>,
     /// By view.
     pub views: Vec<String>,
+    /// By view: perspective, panorama or plan; perspective where it is shorter.
+    #[serde(default)]
+    pub projections: Vec<String>,
     /// Metres per unit of the input.
     pub units: f64,
     /// The input's up axis was y.

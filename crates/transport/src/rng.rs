@@ -19,8 +19,14 @@ pub enum Purpose {
     Shadow = 5,
     /// One interaction of a camera path.
     CameraScatter = 6,
+    /// Directions of the gather rays that a surface sends out.
+    Gather = 7,
+    /// One interaction of a gather ray.
+    GatherScatter = 8,
     /// Photons that are aimed at openings from outside.
     Aim = 9,
+    /// Choice of lights and points on them where a gather ray has ended.
+    GatherShadow = 10,
 }
 
 /// Four numbers for (`seed`, `purpose`, `a`, `b`, `bounce`, `block`): for photons `a` is the light and `b`

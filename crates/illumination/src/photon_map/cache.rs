@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 use enf_layout::photon::PHOTON_HALO;
 use glam::Vec3;
 
-use super::gather::{Gather, GatherScratch, direction};
+use super::gather::{Gather, GatherScratch, Irradiance, direction};
 use super::map::PhotonMap;
 use super::portals::PortalSet;
 
@@ -25,7 +25,7 @@ const NORMAL_COSINE: f32 = 0.95;
 const SLAB_SLOPE: f32 = 0.1;
 const SLAB_FLOOR_M: f32 = 0.004;
 
-/// One place's irradiance; `blue` has its high word set when it is there.
+/// One place's irradiance; the high word of `blue` is its radius, with the sign set when it is there.
 #[derive(Default)]
 struct Value {
     red: AtomicU32,
@@ -33,7 +33,7 @@ struct Value {
     blue: AtomicU64,
 }
 
-const THERE: u64 = 1 << 32;
+const THERE: u64 = 1 << 63;
 
 /// Where a place is. Places whose normals have the same largest axis make a kd-tree of their own: a query
 /// never looks at the table's legs to find the table's top.
@@ -103,6 +103,20 @@ impl IrradianceCache {
         portals: &PortalSet<'_>,
         scratch: &mut GatherScratch,
     ) -> [f32; 3] {
+        self.estimate(map, point, normal, gather, portals, scratch).rgb
+    }
+
+    /// [`IrradianceCache::irradiance`], with the mean radius of the discs that it comes from: what is nearer than that is
+    /// blurred. `photons` counts those of a gather of its own, else 0.
+    pub fn estimate(
+        &self,
+        map: &PhotonMap<'_>,
+        point: Vec3,
+        normal: Vec3,
+        gather: &Gather,
+        portals: &PortalSet<'_>,
+        scratch: &mut GatherScratch,
+    ) -> Irradiance {
         // Places as far away as a gather may reach say nothing about here.
         let reach = gather.radius.min(map.radius()) * 0.5;
         let mut search = Search {
@@ -117,18 +131,22 @@ impl IrradianceCache {
         let found = near.iter().take_while(|n| n.index != u32::MAX).count();
         let farthest = near[PLACES - 1].d2;
         if found < 2 || near[0].d2 >= farthest {
-            return map.irradiance(point, normal, gather, portals, scratch).rgb;
+            return map.irradiance(point, normal, gather, portals, scratch);
         }
-        let (mut sum, mut total) = (Vec3::ZERO, 0.0f32);
+        let (mut sum, mut radius, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
         for place in &near[..found] {
             let weight = 1.0 - place.d2 / farthest;
             if weight > 0.0 {
-                sum += self.at(map, place.index as usize, gather, portals, scratch) * weight;
+                let (rgb, r) = self.at(map, place.index as usize, gather, portals, scratch);
+                sum += rgb * weight;
+                radius += r * weight;
                 total += weight;
             }
         }
-        (sum / total).to_array()
+        Irradiance { rgb: (sum / total).to_array(), photons: 0, radius: radius / total }
     }
+
+    /// Irradiance at a place, and the radius of the disc that it comes from.
 
     fn at(
         &self,
@@ -137,25 +155,28 @@ impl IrradianceCache {
         gather: &Gather,
         portals: &PortalSet<'_>,
         scratch: &mut GatherScratch,
-    ) -> Vec3 {
+    ) -> (Vec3, f32) {
         let value = &self.values[index];
         let blue = value.blue.load(Ordering::Acquire);
         if blue & THERE != 0 {
-            return Vec3::new(
+            let rgb = Vec3::new(
                 f32::from_bits(value.red.load(Ordering::Relaxed)),
                 f32::from_bits(value.green.load(Ordering::Relaxed)),
                 f32::from_bits(blue as u32),
             );
+            return (rgb, f32::from_bits(((blue & !THERE) >> 32) as u32));
         }
         let place = &self.places[index];
         let normal = place.normal().normalize();
         let point = Vec3::from(place.position);
-        let rgb = map.irradiance(point, normal, gather, portals, scratch).rgb;
+        let Irradiance { rgb, radius, .. } =
+            map.irradiance(point, normal, gather, portals, scratch);
         // Two threads may both have computed it; they write the same bits.
         value.red.store(rgb[0].to_bits(), Ordering::Relaxed);
         value.green.store(rgb[1].to_bits(), Ordering::Relaxed);
-        value.blue.store(THERE | u64::from(rgb[2].to_bits()), Ordering::Release);
-        Vec3::from(rgb)
+        let high = u64::from(radius.to_bits()) << 32;
+        value.blue.store(THERE | high | u64::from(rgb[2].to_bits()), Ordering::Release);
+        (Vec3::from(rgb), radius)
     }
 }
 

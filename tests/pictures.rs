@@ -1,0 +1,365 @@
+//! Pictures: gathered light that can be computed by hand, views of every kind, and the files that people open.
+//!
+//! Seeds are fixed; the bound of each statistical test is at least four standard deviations of its estimate.
+
+mod common;
+
+use common::{Model, bin, fails, json, number, ok};
+use enf_image::{Loaded, read_exr};
+use std::f64::consts::PI;
+use std::path::{Path, PathBuf};
+
+/// Renders a store into `dir/name`, all other flags given; returns the picture of a view.
+fn render(store: &Path, dir: &Path, name: &str, view: &str, flags: &[&str]) -> Loaded {
+    let out = dir.join(name);
+    ok(bin("enf-render")
+        .arg(store)
+        .arg("-o")
+        .arg(&out)
+        .args(["--quiet", "--force", "--view", view, "--stats"])
+        .arg(dir.join("render.json"))
+        .args(flags));
+    let file = view.replace(':', "-");
+    read_exr(&out.join(format!("{file}.exr"))).unwrap()
+}
+
+/// Everything but the pictures.
+fn light(scene: &Path, photons: &str, partition: &[&str]) -> PathBuf {
+    let store = scene.with_extension("enf");
+    ok(bin("enf-partition").arg(scene).arg("-o").arg(&store).arg("--quiet").args(partition));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", photons]));
+    ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
+    store
+}
+
+fn mean(picture: &Loaded, channel: &str) -> f64 {
+    let values = picture.channel(channel).unwrap();
+    values.iter().map(|&v| f64::from(v)).sum::<f64>() / values.len() as f64
+}
+
+const GATHER: [&str; 2] = ["--indirect", "final-gather"];
+
+/// A closed box that glows and reflects alike everywhere: radiance is Le / (1 - rho), up into the corners, where a photon
+/// map alone is too dark.
+#[test]
+fn a_furnace_is_even_up_to_its_corners() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("furnace.toml");
+    let mut model = Model::default();
+    model.object("box");
+    model.material("glow");
+    model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
+    model.write(&dir.path().join("box.obj"), "newmtl glow\nKd 0.5 0.5 0.5\nKe 2 2 2\n");
+    // Into a corner, from near.
+    std::fs::write(
+        &scene,
+        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [3.5, 3.5, 3.5]\ntarget = [4, 4, 4]\nfov = 50\n",
+    )
+    .unwrap();
+    for rooms in ["1", "8"] {
+        let store = light(&scene, "100k", &["--rooms", rooms, "--force"]);
+        let flags = ["--width", "40", "--height", "40", "--samples", "8", "--gather-rays", "16"];
+        let picture = render(&store, dir.path(), "g", "in", &[&GATHER[..], &flags[..]].concat());
+        let found = mean(&picture, "G");
+        // Half of the light is from the map, whose mean is that of 100,000 photons; the rest is exact or from 25,600 paths.
+        assert!((found - 4.0).abs() < 0.03 * 4.0, "{found} in {rooms} rooms");
+        let centre = 20 * 40 + 20;
+        let corner: f64 = [centre, centre - 1, centre - 40, centre - 41]
+            .iter()
+            .map(|&p| f64::from(picture.channel("G").unwrap()[p]) / 4.0)
+            .sum();
+        assert!((corner - 4.0).abs() < 0.1 * 4.0, "{corner} in the corner");
+        let plain = render(&store, dir.path(), "p", "in", &flags[..6]);
+        assert!(mean(&plain, "G") < found, "a photon map alone is darker in a corner");
+    }
+}
+
+/// A plate above a floor that a lamp far above lights: what its underside gets from the floor is an integral.
+#[test]
+fn a_form_factor() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("plate.toml");
+    let mut model = Model::default();
+    let (half, height, lamp, small) = (3.0, 2.0, 30.0, 0.2);
+    model.object("floor");
+    model.material("floor");
+    model.quad([[-half, -half, 0.0], [half, -half, 0.0], [half, half, 0.0], [-half, half, 0.0]]);
+    model.object("plate");
+    model.material("plate");
+    let s = small;
+    model.quad([[-s, -s, height], [-s, s, height], [s, s, height], [s, -s, height]]);
+    model.write(
+        &dir.path().join("plate.obj"),
+        "newmtl floor\nKd 0.6 0.5 0.4\nnewmtl plate\nKd 0.5 0.5 0.5\n",
+    );
+    std::fs::write(
+        &scene,
+        format!(
+            "[[mesh]]\nfile = \"plate.obj\"\n[[light]]\nkind = \"point\"\nposition = [0, 0, {lamp}]\nwatts = 90000\n\
+             [[view]]\nname = \"below\"\neye = [0, 0, 1]\ntarget = [0, 0, 2]\nup = [0, 1, 0]\nfov = 20\nwidth = 48\nheight = 48\n"
+        ),
+    )
+    .unwrap();
+    let store = light(&scene, "20k", &[]);
+    let flags = ["--samples", "4", "--gather-rays", "32", "--max-samples", "4"];
+    let picture = render(&store, dir.path(), "out", "below", &[&GATHER[..], &flags[..]].concat());
+    let seen = render(&store, dir.path(), "direct", "below", &["--indirect", "none"]);
+    assert_eq!(mean(&seen, "G"), 0.0, "no lamp is seen from below");
+    // Irradiance under the middle of the plate, by a fine grid over the floor; the plate's own shadow is dark.
+    let n = 1000;
+    let mut received = 0.0;
+    for i in 0..n {
+        for j in 0..n {
+            let at = |k: i32| -half + 2.0 * half * (f64::from(k) + 0.5) / f64::from(n);
+            let (x, y): (f64, f64) = (at(i), at(j));
+            let shade = s * lamp / (lamp - height);
+            if x.abs() < shade && y.abs() < shade {
+                continue;
+            }
+            let (far, near) = (x * x + y * y + lamp * lamp, x * x + y * y + height * height);
+            let lit = 90_000.0 / (4.0 * PI) * lamp / (far * far.sqrt());
+            received += lit * height * height / (PI * near * near);
+        }
+    }
+    received *= (2.0 * half / f64::from(n)).powi(2);
+    for (channel, floor) in [("indirect.R", 0.6), ("indirect.G", 0.5), ("indirect.B", 0.4)] {
+        let expected = received * floor * 0.5 / PI;
+        let found = mean(&picture, channel);
+        // 73,728 rays of which two thirds meet the floor: deviation 0.3 %. The picture shows 35 cm of the plate, over which
+        // the integral falls by less than 0.5 %.
+        assert!((found / expected - 1.0).abs() < 0.015, "{channel}: {found} for {expected}");
+    }
+}
+
+/// Two rooms with a doorway, a mirror and a pane: gathering agrees with a photon map of very many photons, and does
+/// not depend on how many it has itself.
+#[test]
+fn gathered_light_is_what_many_photons_say() {
+    let dir = tempfile::tempdir().unwrap();
+    common::furnished(dir.path());
+    let scene = dir.path().join("rooms.toml");
+    let flags = ["--width", "80", "--height", "60", "--samples", "8"];
+    let gather = [&GATHER[..], &flags[..]].concat();
+    let store = light(&scene, "400k", &[]);
+    let mut means = Vec::new();
+    for view in ["door", "hall"] {
+        let many = mean(&render(&store, dir.path(), "m", view, &flags), "indirect.G");
+        means.push((many, mean(&render(&store, dir.path(), "g", view, &gather), "indirect.G")));
+    }
+    let store = light(&scene, "30k", &["--force"]);
+    for (view, (many, gathered)) in ["door", "hall"].into_iter().zip(means) {
+        let few = mean(&render(&store, dir.path(), "f", view, &gather), "indirect.G");
+        // Edges and corners, of which there are many here, make the map some per cent too dark.
+        assert!((gathered / many - 1.03).abs() < 0.05, "{view}: {gathered}, {many} by photons");
+        assert!(
+            (few / gathered - 1.0).abs() < 0.03,
+            "{view}: {few} from few, {gathered} from many"
+        );
+    }
+}
+
+/// Gather rays, further samples, and rays that start in many tiles: the same bits whatever the threads, the budget and the tiles.
+#[test]
+fn the_same_bits() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = common::furnished(dir.path());
+    let mut seen: Option<Vec<Vec<u8>>> = None;
+    let variants: [(&[&str], &[&str]); 3] = [
+        (&["--memory", "64M"], &["--memory", "64M", "--threads", "1"]),
+        (&["--memory", "4G"], &["--memory", "4G", "--threads", "2"]),
+        (
+            &["--tile-triangles", "300"],
+            &[
+                "--threads",
+                "2",
+                "--queue-rows",
+                "3",
+                "--queue-block",
+                "200",
+                "--resident-rooms",
+                "1",
+            ],
+        ),
+    ];
+    for (i, (partition, later)) in variants.into_iter().enumerate() {
+        let store = light(&scene, "3k", &[partition, &["--force"]].concat());
+        let out = dir.path().join(format!("out-{i}"));
+        ok(bin("enf-render")
+            .arg(&store)
+            .arg("-o")
+            .arg(&out)
+            .args(["--quiet", "--view", "door", "--view", "plan:0", "--view", "panorama:1"])
+            .args(["--width", "96", "--height", "64", "--samples", "4", "--noise", "0.05"])
+            .args(["--stats"])
+            .arg(dir.path().join("stats.json"))
+            .args(GATHER)
+            .args(later));
+        let stats = json(&dir.path().join("stats.json"));
+        let first = 3.0 * 96.0 * 64.0 * 4.0;
+        let all = number(&stats, "rays_camera");
+        assert!(all > 1.05 * first && all < 6.0 * first, "{all} rays");
+        let files = ["door.exr", "door.png", "plan-0.exr", "panorama-1.exr"];
+        let bytes: Vec<_> = files.iter().map(|f| std::fs::read(out.join(f)).unwrap()).collect();
+        match &seen {
+            None => seen = Some(bytes),
+            Some(seen) => assert!(*seen == bytes, "variant {i} makes other pictures"),
+        }
+    }
+}
+
+/// A plan and a panorama of two rooms: depths are heights below the cut and distances to walls, and rooms are where they are.
+#[test]
+fn plans_and_panoramas() {
+    let dir = tempfile::tempdir().unwrap();
+    let obj = dir.path().join("two.obj");
+    common::two_rooms(&obj);
+    let scene = dir.path().join("two.toml");
+    std::fs::write(
+        &scene,
+        "[[mesh]]\nfile = \"two.obj\"\n\
+         [[view]]\nname = \"floor\"\nkind = \"plan\"\neye = [5.1, 2, 1.6]\nsize = 5\nwidth = 220\nheight = 100\n\
+         [[view]]\nname = \"about\"\nkind = \"panorama\"\neye = [4, 2, 1.4]\ntarget = [5, 2, 1.4]\nwidth = 128\nheight = 64\n",
+    )
+    .unwrap();
+    let store = light(&scene, "2k", &[]);
+    let plan = render(&store, dir.path(), "o", "floor", &["--samples", "2"]);
+    let at = |picture: &Loaded, channel: &str, x: u32, y: u32| {
+        picture.channel(channel).unwrap()[(y * picture.width + x) as usize]
+    };
+    assert_eq!((plan.width, plan.height), (220, 100));
+    // 5 cm a pixel; x = 0 at pixel 8, y = 4 at pixel 10, north up. Floor at 1 m from the corner, and in the other room.
+    let pixel = |x: f64, y: f64| (((x + 0.4) / 0.05) as u32, ((4.5 - y) / 0.05) as u32);
+    let (a, b) = (pixel(0.7, 3.3), pixel(9.5, 0.7));
+    let depth = |p: (u32, u32)| at(&plan, "depth.Z", p.0, p.1);
+    assert!((depth(a) - 1.6).abs() < 1e-3 && (depth(b) - 1.6).abs() < 1e-3, "{}", depth(a));
+    let table = pixel(1.7, 1.3);
+    assert!((depth(table) - (1.6 - 0.72)).abs() < 1e-3, "{}", depth(table));
+    assert_ne!(at(&plan, "room.ID", a.0, a.1), at(&plan, "room.ID", b.0, b.1));
+    // Walls are cut: black, and nothing behind.
+    let wall = pixel(5.1, 1.0);
+    assert_eq!((depth(wall), at(&plan, "G", wall.0, wall.1)), (0.0, 0.0));
+    let about = render(&store, dir.path(), "o", "about", &["--samples", "4"]);
+    // Straight ahead is the doorway, and the far wall beyond; to the right is the south wall, behind the west wall; below, the floor.
+    for (x, y, expected) in
+        [(64, 32, 6.2), (96, 32, 2.0), (32, 32, 2.0), (0, 32, 4.0), (64, 63, 1.4), (64, 0, 1.4)]
+    {
+        let depth = at(&about, "depth.Z", x, y);
+        assert!((depth - expected).abs() < 0.02 * expected, "{depth} for {expected} at {x}, {y}");
+    }
+    // By flags, the same plan to the bit; coordinates are the model's.
+    let out = dir.path().join("flags.exr");
+    ok(bin("enf-render").arg(&store).arg("-o").arg(&out).args(["--quiet", "--force"]).args([
+        "--eye",
+        "5.1,2,1.6",
+        "--projection",
+        "plan",
+        "--size",
+        "5",
+        "--width",
+        "220",
+        "--height",
+        "100",
+        "--samples",
+        "2",
+    ]));
+    let flags = read_exr(&out).unwrap();
+    assert!(flags.channels == plan.channels, "the same plan by flags");
+    let text = fails(bin("enf-render").arg(&store).args(["--eye", "1,2,1.6"]), 2);
+    assert!(text.contains("target"), "{text}");
+}
+
+/// A view that does not exist is refused before anything is computed, and those that exist are named.
+#[test]
+fn an_unknown_view_is_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = common::furnished(dir.path());
+    let out = dir.path().join("out");
+    let text = fails(
+        bin("enfilade").arg("run").arg(&scene).arg("-o").arg(&out).args(["--view", "lobby"]),
+        2,
+    );
+    assert!(text.contains("lobby") && text.contains("door") && text.contains("hall"), "{text}");
+    assert!(!out.join("rooms.enf").exists(), "nothing was begun");
+    std::fs::write(
+        dir.path().join("v.toml"),
+        "[[view]]\nname = \"lobby\"\neye = [1,1,1]\nkind = \"x\"\n",
+    )
+    .unwrap();
+    let text = fails(
+        bin("enfilade")
+            .arg("run")
+            .arg(&scene)
+            .arg("-o")
+            .arg(&out)
+            .args(["--view", "lobby", "--views"])
+            .arg(dir.path().join("v.toml")),
+        4,
+    );
+    assert!(text.contains("v.toml") && text.contains("perspective, panorama and plan"), "{text}");
+}
+
+/// All files of a picture, read back: they show the same light. Another view of a finished store leaves them alone.
+#[test]
+fn files_that_people_open() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = common::furnished(dir.path());
+    let store = light(&scene, "2k", &[]);
+    let out = dir.path().join("out");
+    let render = |view: &str, more: &[&str]| {
+        let mut command = bin("enf-render");
+        command.arg(&store).arg("-o").arg(&out).args(["--quiet", "--view", view]);
+        command.args(["--width", "40", "--height", "30", "--samples", "2"]).args(more);
+        common::stdout(&ok(&mut command))
+    };
+    let all = ["--formats", "png,exr,hdr,falsecolour", "--exposure", "ev:6", "--tone", "linear"];
+    let printed = render("door", &all);
+    let files = ["door.png", "door.exr", "door.hdr", "door.falsecolour.png"];
+    assert_eq!(printed.lines().count(), 4);
+    let bytes = |f: &str| std::fs::read(out.join(f)).unwrap();
+    let before: Vec<_> = files.iter().map(|f| bytes(f)).collect();
+
+    let exr = read_exr(&out.join("door.exr")).unwrap();
+    let names = ["R", "direct.R", "indirect.R", "albedo.R", "normal.X", "depth.Z", "room.ID"];
+    for name in names {
+        assert!(exr.channel(name).is_some(), "{name} is among {:?}", exr.channels.keys());
+    }
+    for (i, &sum) in exr.channel("G").unwrap().iter().enumerate() {
+        let parts = exr.channel("direct.G").unwrap()[i] + exr.channel("indirect.G").unwrap()[i];
+        assert!((sum - parts).abs() <= 1e-5 * sum.abs(), "{sum} is {parts}");
+    }
+    // The picture's mean brightness in the linear PNG is that of the radiance, cut off at white.
+    let decoder = png::Decoder::new(std::io::Cursor::new(bytes("door.png")));
+    let mut reader = decoder.read_info().unwrap();
+    let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+    reader.next_frame(&mut pixels).unwrap();
+    let shown: f64 = pixels
+        .chunks(3)
+        .map(|p| {
+            let v = f64::from(p[1]) / 255.0;
+            if v <= 0.04045 { v / 12.92 } else { ((v + 0.055) / 1.055).powf(2.4) }
+        })
+        .sum();
+    let factor = 179.0 / (1.2 * 64.0);
+    let linear: f64 =
+        exr.channel("G").unwrap().iter().map(|&g| (f64::from(g) * factor).min(1.0)).sum();
+    assert!((shown / linear - 1.0).abs() < 0.02, "{shown} for {linear}");
+    let hdr = bytes("door.hdr");
+    assert!(hdr.starts_with(b"#?RADIANCE"));
+    assert!(hdr.windows(12).any(|w| w == b"-Y 30 +X 40\n"));
+    let decoder = png::Decoder::new(std::io::Cursor::new(bytes("door.falsecolour.png")));
+    let info = decoder.read_info().unwrap();
+    assert!(info.info().width > 40, "it has a legend beside it");
+
+    // Another view: no --force, and the first one's files stay as they are.
+    render("hall", &[]);
+    assert!(out.join("hall.exr").exists());
+    let after: Vec<_> = files.iter().map(|f| bytes(f)).collect();
+    assert!(before == after, "the first view's files are as they were");
+    // Once more the first, under its own names, would change nothing: but its film is gone, and that is said.
+    let text = fails(
+        bin("enf-render").arg(&store).arg("-o").arg(&out).args(["--quiet", "--view", "door"]),
+        2,
+    );
+    assert!(text.contains("--force"), "{text}");
+}
