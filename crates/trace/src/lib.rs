@@ -1,8 +1,8 @@
 //! `enf-trace`: photons from the lights into every room (the paper, sections 4 and 5).
 //!
-//! One tile is visited at a time. Tracing threads fly the photons that start or wait there; a recorder thread
-//! owns the table of incoming photons, the logs and the journal; a loader thread fetches the next tile
-//! meanwhile. Nothing that a user sees depends on the order of visits.
+//! Tracing threads fly the photons that start or wait in the tiles that are visited; a recorder thread owns the
+//! table of incoming photons, the logs and the journal; loader threads fetch the next tiles meanwhile. Nothing
+//! that a user sees depends on the order of visits.
 #![forbid(unsafe_code)]
 
 mod counts;
