@@ -532,8 +532,9 @@ impl Driver<'_> {
         Ok(())
     }
 
-    /// What others have parked here and how far they are, at once or when it is time to look; whether anything is in transit anywhere.
-    fn take_news(&mut self, now: bool) -> Result<bool> {
+    /// What others have parked here and how far they are, at once or when it is time to look. What is left of that: whether anything is in
+    /// transit anywhere, and who is running.
+    fn take_news(&mut self, now: bool) -> Result<Status> {
         let status = self.ask(|reply| Message::Poll { now, reply })??;
         if let Some(error) = status.failure {
             return Err(error.into());
@@ -545,7 +546,7 @@ impl Driver<'_> {
             let known = self.cursors.entry(tile).or_default();
             *known = value.max(*known);
         }
-        Ok(status.in_transit)
+        Ok(status)
     }
 
     /// Nothing is left to do here: shows others what was done, and waits until there is something again (false) or the trace has ended everywhere
@@ -554,7 +555,7 @@ impl Driver<'_> {
         self.ask(|reply| Message::Commit { reply })??;
         let (mut pause, mut said) = (Duration::from_millis(5), Instant::now());
         loop {
-            let in_transit = self.take_news(true)?;
+            let Status { in_transit, running, .. } = self.take_news(true)?;
             if self.scheduler.total() > 0 {
                 return Ok(false);
             }
@@ -570,14 +571,7 @@ impl Driver<'_> {
             }
             if said.elapsed() > SAY_EVERY {
                 said = Instant::now();
-                let of = self.share.of;
-                say(
-                    self.common,
-                    match late {
-                        Some(tile) => format!("waiting for --share {}/{of}", tile % of),
-                        None => "waiting for photons that other processes have taken up".into(),
-                    },
-                );
+                say(self.common, self.share.waits_for(late, &running));
             }
             let span = self.lane.io("wait for other processes", 0u32);
             std::thread::sleep(pause);
