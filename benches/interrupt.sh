@@ -5,11 +5,11 @@
 #   benches/interrupt.sh [BUILDING] [MOMENTS] [FOLDER]     # octagon, 8, a temporary folder
 #
 # BUILDING is what `enfilade building` knows, with its flags ("tower --floors 4"), or a scene file. BIN is the folder of the binaries
-# (target/release), PHOTONS the photons a light (50k), SIZE the picture's (1024x768), FLAGS more flags for every stage.
+# (target/release), PHOTONS the photons a light (50k), SIZE the pictures' (640x480), VIEW which (auto: three), FLAGS more flags for every stage.
 set -euo pipefail
 building=${1:-octagon} moments=${2:-8} folder=${3:-}
 bin=$(realpath "${BIN:-$(dirname "$0")/../target/release}")
-photons=${PHOTONS:-50k} size=${SIZE:-1024x768} flags=${FLAGS:-}
+photons=${PHOTONS:-50k} size=${SIZE:-640x480} flags=${FLAGS:-}
 if [ -z "$folder" ]; then
     folder=$(mktemp -d)
     trap 'rm -rf "$folder"' EXIT
@@ -72,4 +72,4 @@ stage partition "$scene" -o b.enf
 stage grid b.enf
 stage trace b.enf --photons-per-light "$photons"
 stage kdtree b.enf
-stage render b.enf --view auto --width "${size%x*}" --height "${size#*x}" -o pictures
+stage render b.enf --view "${VIEW:-auto}" --width "${size%x*}" --height "${size#*x}" -o pictures

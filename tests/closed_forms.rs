@@ -46,7 +46,7 @@ fn solid_angle(lo: [f64; 2], hi: [f64; 2], d: f64) -> f64 {
 /// Shares are binomial, to 5 deviations: 200 comparisons, 1 in 8,000 that other random numbers fail one.
 #[test]
 fn flux_is_conserved_in_a_black_room() {
-    const N: f64 = 500_000.0;
+    const N: f64 = 250_000.0;
     let dir = tempfile::tempdir().unwrap();
     let at = [1.3, 2.2, 1.9];
     let size = [4.0, 4.0, 3.0];
@@ -79,7 +79,7 @@ fn flux_is_conserved_in_a_black_room() {
         let mut digests = Vec::new();
         for rooms in ["auto", "8"] {
             let store = dir.path().join(format!("{open}-{rooms}.enf"));
-            let stats = traced(&scene, &store, &["--rooms", rooms], &["--photons", "500k"]);
+            let stats = traced(&scene, &store, &["--rooms", rooms], &["--photons", "250k"]);
             digests.push(digest(&store, "photons"));
             every_room_balances(&store);
             let all = photons(&store);
@@ -90,7 +90,7 @@ fn flux_is_conserved_in_a_black_room() {
             assert_eq!(all.len() as f64, n("photons_stored"));
             let escaped = LUMENS_PER_WATT * n("flux_escaped_w");
             let landed = lumens(&all, |_, _| true);
-            // Stored flux is rounded at random, one part in 256 a photon: 1 in 10^5 for all of them.
+            // Stored flux is rounded at random, one part in 256 a photon: some 10 in 10^6 for all of them.
             assert!((landed + escaped - 10_000.0).abs() < 1.0, "{landed} lm + {escaped} lm");
             let check = |what: String, found: f64, steradians: f64| {
                 let share = steradians / (4.0 * PI);
@@ -132,14 +132,18 @@ fn flux_is_conserved_in_a_black_room() {
 /// each. The mean indirect illuminance is PHI / 96 m2 times rho / (1 - rho).
 ///
 /// Impacts after the first have mean rho/(1-rho) and variance rho/(1-rho)^2 a photon: a relative deviation of
-/// 1/sqrt(rho N). The bound is 4.5 of them, at most 1 % from rho = 0.5 on; 1 in 13,000 for the twelve together.
+/// 1/sqrt(rho N). The bound is 4 of them, at most 1 % from rho = 0.5 on; 1 in 2,200 for all together.
 #[test]
 fn cubes_of_every_reflectance() {
-    const RHO: [f64; 12] = [0.0, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 0.95];
+    const RHO: [f64; 8] = [0.0, 0.05, 0.1, 0.3, 0.5, 0.7, 0.9, 0.95];
     let dir = tempfile::tempdir().unwrap();
     let (mut model, mut mtl, mut lights) = (Model::default(), String::new(), String::new());
     // Photons go by power.
-    let power = |rho: f64| if rho < 0.05 { 1e4 } else { (202_500.0 / rho).clamp(2.3e5, 5e5) };
+    let power = |rho: f64| match rho {
+        0.0 => 1e4,
+        low if low < 0.45 => 2e5,
+        _ => (160_000.0 / rho).ceil(),
+    };
     for (i, rho) in RHO.into_iter().enumerate() {
         let x = 5.0 * i as f64;
         model.object(&format!("cube {i}"));
@@ -163,7 +167,7 @@ fn cubes_of_every_reflectance() {
     let escaped = number(&stats, "photons_escaped");
     assert!(escaped < 1e-6 * number(&stats, "photons_stored"), "{escaped} photons");
     every_room_balances(&store);
-    let (mut direct, mut indirect, mut impacts) = ([0.0; 12], [0.0; 12], [0u64; 12]);
+    let (mut direct, mut indirect, mut impacts) = ([0.0; 8], [0.0; 8], [0u64; 8]);
     for photon in photons(&store) {
         let i = (f64::from(photon.position()[0]) / 5.0 + 0.1) as usize;
         let lumens = LUMENS_PER_WATT * watts(&photon);
@@ -184,7 +188,7 @@ fn cubes_of_every_reflectance() {
         // As illuminance, for 10 klm.
         let found = indirect[i] / 96.0 * 10_000.0 / lumens;
         let expected = 10_000.0 / 96.0 * rho / (1.0 - rho);
-        let bound = 4.5 / (rho * n).sqrt();
+        let bound = 4.0 / (rho * n).sqrt();
         assert!(rho < 0.45 || bound < 0.01 + 1e-4, "{bound}");
         assert!((found / expected - 1.0).abs() < bound, "rho {rho}: {found} lx for {expected}");
     }
@@ -197,8 +201,8 @@ fn cubes_of_every_reflectance() {
 /// than 1 % of the area. The bound is 5.2 deviations, some 280 patches: 1 in 18,000.
 #[test]
 fn a_furnace_in_1_8_and_64_rooms() {
-    const N: f64 = 600_000.0;
-    let (le, rho) = (1.0, 0.5);
+    const N: f64 = 200_000.0;
+    let (le, rho) = (1.0, 0.5f64);
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("furnace.obj");
     let mut model = Model::default();
@@ -223,7 +227,7 @@ fn a_furnace_in_1_8_and_64_rooms() {
     let mut digests = Vec::new();
     for rooms in ["1", "8", "64"] {
         let store = dir.path().join(format!("furnace-{rooms}.enf"));
-        let stats = traced(&scene, &store, &["--rooms", rooms], &["--photons-per-light", "600k"]);
+        let stats = traced(&scene, &store, &["--rooms", rooms], &["--photons-per-light", "200k"]);
         digests.push(digest(&store, "photons"));
         every_room_balances(&store);
         assert_eq!(number(&stats, "photons_emitted"), N);
@@ -253,6 +257,9 @@ fn a_furnace_in_1_8_and_64_rooms() {
         }
         assert_eq!(found.len(), 4 * (walls as usize) + things.len());
         let photon_w = PI * le * area / N;
+        // All of it: impacts of a photon are geometric, with deviation sqrt(rho) of their mean.
+        let whole = found.values().sum::<f64>() / area / expected - 1.0;
+        assert!(whole.abs() < 4.5 * rho.sqrt() / N.sqrt(), "{rooms} rooms: off by {whole}");
         for (patch, flux) in found {
             let of = if patch.0 == 6 { on_things[patch.1] } else { 0.25 };
             let n = expected * of / photon_w;

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{bin, bin_path, copy_store, counts, digest, fails, furnished, ok, stdout};
+use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -153,6 +154,21 @@ fn what_was_shared_can_be_finished_alone_or_by_others() {
         assert!(outcome(&shared) == expected, "{then:?}");
         std::fs::remove_dir_all(&shared).unwrap();
     }
+}
+
+/// Who waits says for whom, after ten seconds.
+#[test]
+fn a_sharer_that_was_never_started_is_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = tiles(dir.path());
+    let mut command = bin("enf-trace");
+    command.arg(&store).args(FLAGS).args(["--share", "0/3"]).stderr(Stdio::piped());
+    let mut child = command.stdout(Stdio::null()).spawn().unwrap();
+    let lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    let line = lines.map_while(Result::ok).find(|line| line.contains("waiting")).unwrap();
+    assert!(line.ends_with("; running: 0; not running: --share 1/3, --share 2/3"), "{line}");
+    child.kill().unwrap();
+    child.wait().unwrap();
 }
 
 #[test]

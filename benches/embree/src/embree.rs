@@ -553,6 +553,8 @@ impl Scene<'_> {
     }
 
     /// `rtcIntersect1`, with the normal of the triangle that was hit, not of unit length.
+    // For `embree-photons`, as the next one.
+    #[allow(dead_code)]
     #[inline]
     pub fn meet(&self, beam: &Beam) -> Option<(Found, [f32; 3])> {
         let mut hit = RayHit {
@@ -571,6 +573,7 @@ impl Scene<'_> {
     }
 
     /// [`meet`](Self::meet) by `rtcIntersect16`, sixteen rays at a time, told in the order of the rays.
+    #[allow(dead_code)]
     pub fn meet16(&self, beams: &[Beam], mut each: impl FnMut(Option<(Found, [f32; 3])>)) {
         self.packets(self.embree.queries.nearest16, beams, |packet, count| {
             for i in 0..count.min(16) {
@@ -840,12 +843,18 @@ mod tests {
             let (mut eight, mut sixteen) = (Vec::new(), Vec::new());
             scene.nearest8(&list, |found| eight.push(found));
             scene.nearest16(&list, |found| sixteen.push(found));
+            let mut met16 = Vec::new();
+            scene.meet16(&list, |met| met16.push(met));
             let (mut dark8, mut dark16) = (Vec::new(), Vec::new());
             scene.occluded8(&list, |dark| dark8.push(dark));
             scene.occluded16(&list, |dark| dark16.push(dark));
             for (i, (beam, expected)) in beams.iter().enumerate() {
                 assert_eq!((dark8[i], dark16[i]), (expected.is_some(), expected.is_some()));
                 assert_eq!(scene.nearest(beam), *expected, "{beam:?}");
+                let met = scene.meet(beam);
+                assert_eq!((met.map(|m| m.0), met16[i]), (*expected, met), "{beam:?}");
+                // Along z, either way.
+                assert!(met.is_none_or(|(_, n)| n[0] == 0.0 && n[1] == 0.0 && n[2] != 0.0));
                 assert_eq!((eight[i], sixteen[i]), (*expected, *expected), "{beam:?}");
                 assert_eq!(scene.occluded(beam), expected.is_some(), "{beam:?}");
                 let short = Beam { far: 1.9, ..*beam };

@@ -232,6 +232,19 @@ fn a_second_ctrl_c_insists() {
     assert_eq!((status, err.as_str()), (Some(130), ""));
 }
 
+/// The child takes a minute over its last steps: nobody is asked to wait for that.
+fn one_signal_is_enough() {
+    for (which, code) in [(INT, 130), (TERM, 143)] {
+        let child = running(&["wait", "-v"]);
+        let asked = Instant::now();
+        signal(&child, which);
+        let (status, _, err) = told(child.wait_with_output().unwrap());
+        assert!(asked.elapsed() < Duration::from_secs(30));
+        assert_eq!(status, Some(code));
+        assert_eq!(err, "enf-child: interrupted\n  the same command goes on from here\n");
+    }
+}
+
 fn a_signal_ends_the_wait_for_ids() {
     let mut child = stage(&["ids"]).stdin(Stdio::piped()).spawn().unwrap();
     let stdin = child.stdin.take();
@@ -309,7 +322,7 @@ fn main() -> ExitCode {
     if std::env::args().nth(1).as_deref() == Some("child") {
         return run_main("enf-child", child);
     }
-    let tests: [(&str, fn()); 10] = [
+    let tests: [(&str, fn()); 11] = [
         ("stdin_decides", stdin_decides),
         ("bad_ids_are_input_errors", bad_ids_are_input_errors),
         ("a_stage_streams", a_stage_streams),
@@ -317,6 +330,7 @@ fn main() -> ExitCode {
         ("silence_is_explained", silence_is_explained),
         ("signals_end_it_politely", signals_end_it_politely),
         ("a_second_ctrl_c_insists", a_second_ctrl_c_insists),
+        ("one_signal_is_enough", one_signal_is_enough),
         ("a_signal_ends_the_wait_for_ids", a_signal_ends_the_wait_for_ids),
         ("failures_have_codes_and_no_panic_messages", failures_have_codes_and_no_panic_messages),
         ("the_record_is_written", the_record_is_written),

@@ -360,7 +360,7 @@ impl<'a> Driver<'a> {
         self.cursors.insert(tile, cursor);
         let cursor = (starts > 0).then_some((tile, cursor));
         let unused = (tile, unused);
-        let status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
+        let mut status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
         let (uncommitted, committed_at) = (status.uncommitted, status.committed_at);
         let (finished_w, emitted_w) = (status.finished_w, status.emitted_w);
         self.progress.at(status.finished, self.share_of_flux(finished_w));
@@ -370,7 +370,7 @@ impl<'a> Driver<'a> {
             100.0 * self.share_of_flux(emitted_w - finished_w),
             100.0 * self.share_of_flux(self.all_w - emitted_w),
         ));
-        self.take_note(status)?;
+        self.take_note(&mut status)?;
         self.scheduler.add(tile, left.min(pending));
         if self.manner.share.of > 1 {
             self.take_news(false)?;
@@ -380,9 +380,9 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
-    /// Puts what was parked into the schedule; whether anything is in transit anywhere.
-    fn take_note(&mut self, status: Status) -> Result<bool> {
-        if let Some(error) = status.failure {
+    /// Puts what was parked into the schedule.
+    fn take_note(&mut self, status: &mut Status) -> Result<()> {
+        if let Some(error) = status.failure.take() {
             return Err(error.into());
         }
         for (&to, &count) in &status.parked {
@@ -392,7 +392,7 @@ impl<'a> Driver<'a> {
             let known = self.cursors.entry(tile).or_default();
             *known = value.max(*known);
         }
-        Ok(status.in_transit)
+        Ok(())
     }
 
     /// Asks for tiles that are worth it, as far as there is room, until enough wait for their visit.
@@ -432,10 +432,12 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// What others have parked here and how far they are, at once or when it is time to look; whether anything is in transit anywhere.
-    fn take_news(&mut self, now: bool) -> Result<bool> {
-        let status = self.ask(|reply| Message::Poll { now, reply })??;
-        self.take_note(status)
+    /// What others have parked here and how far they are, at once or when it is time to look. What is left of that: whether anything
+    /// is in transit anywhere, and who is running.
+    fn take_news(&mut self, now: bool) -> Result<Status> {
+        let mut status = self.ask(|reply| Message::Poll { now, reply })??;
+        self.take_note(&mut status)?;
+        Ok(status)
     }
 
     /// Nothing is left to do here: shows others what was done, and waits until there is something again (false) or the trace has
@@ -444,7 +446,7 @@ impl<'a> Driver<'a> {
         self.commit()?;
         let (mut pause, mut said) = (Duration::from_millis(5), Instant::now());
         loop {
-            let in_transit = self.take_news(true)?;
+            let Status { in_transit, running, .. } = self.take_news(true)?;
             if self.scheduler.total() > 0 {
                 return Ok(false);
             }
@@ -460,14 +462,7 @@ impl<'a> Driver<'a> {
             }
             if said.elapsed() > SAY_EVERY {
                 said = Instant::now();
-                let of = self.manner.share.of;
-                say(
-                    self.common,
-                    match late {
-                        Some(tile) => format!("waiting for --share {}/{of}", tile % of),
-                        None => "waiting for photons that other processes have taken up".into(),
-                    },
-                );
+                say(self.common, self.manner.share.waits_for(late, &running));
             }
             let span = self.lane.io("wait for other processes", 0u32);
             std::thread::sleep(pause);

@@ -15,7 +15,7 @@ use enf_layout::transit::TransitRecord;
 use enf_stage::rowtable::RowTable;
 use enf_stage::{Failure, Lane, interrupt};
 use enf_store::{
-    Buffer, Extent, Identity, MemoryBudget, StageReader, StageWriter, StoreDir, StoreError,
+    Buffer, Extent, Identity, MemoryBudget, Peer, StageReader, StageWriter, StoreDir, StoreError,
 };
 use zerocopy::{FromBytes, IntoBytes};
 
@@ -62,6 +62,8 @@ pub(crate) struct Status {
     pub(crate) cursors: Vec<(u32, u64)>,
     /// Something that is committed is in transit, here or in another process.
     pub(crate) in_transit: bool,
+    /// Other processes that are at work, for who waits for them.
+    pub(crate) running: Vec<u32>,
     /// Photons whose path has ended, since the start of the trace.
     pub(crate) finished: u64,
     /// Flux of them, W over all channels.
@@ -328,7 +330,10 @@ impl Recorder {
                             let in_transit = !now
                                 || self.others.in_transit()
                                 || self.writer.extents().any(|e| e.kind == ExtentKind::Transit);
-                            Status { cursors, in_transit, ..self.status() }
+                            let live = |p: &&Peer| now && p.is_live().unwrap_or(false);
+                            let running = self.others.peers().iter().filter(live);
+                            let running = running.map(Peer::process).collect();
+                            Status { cursors, in_transit, running, ..self.status() }
                         }),
                         false => Ok(self.status()),
                     });
@@ -349,6 +354,7 @@ impl Recorder {
             parked: std::mem::take(&mut self.parked),
             cursors: Vec::new(),
             in_transit: true,
+            running: Vec::new(),
             finished: self.all.finished,
             finished_w: self.all.finished_w,
             emitted_w: self.all.emitted_w,

@@ -34,6 +34,26 @@ impl Share {
     pub fn owns(&self, tile: u32) -> bool {
         tile % self.of == self.process
     }
+
+    /// What this process waits for that has nothing to do: the owner of the tile where light is `late`, or those who took
+    /// photons up. `running` are the other processes at work.
+    pub(crate) fn waits_for(&self, late: Option<u32>, running: &[u32]) -> String {
+        let of = self.of;
+        let missing: Vec<String> = (0..of)
+            .filter(|i| *i != self.process && !running.contains(i))
+            .map(|i| format!("--share {i}/{of}"))
+            .collect();
+        let mut text = match late {
+            Some(tile) => format!("waiting for --share {}/{of}", tile % of),
+            None => "waiting for photons that other processes have taken up".into(),
+        };
+        if !missing.is_empty() {
+            text += &format!("; running: {}", self.process);
+            running.iter().for_each(|i| text += &format!(", {i}"));
+            text += &format!("; not running: {}", missing.join(", "));
+        }
+        text
+    }
 }
 
 impl FromStr for Share {
@@ -211,6 +231,18 @@ impl Others {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn who_is_missing_is_named() {
+        let share: Share = "1/3".parse().unwrap();
+        assert_eq!(share.waits_for(Some(6), &[0, 2]), "waiting for --share 0/3");
+        assert_eq!(
+            share.waits_for(Some(5), &[0]),
+            "waiting for --share 2/3; running: 1, 0; not running: --share 2/3"
+        );
+        let taken = share.waits_for(None, &[]);
+        assert!(taken.ends_with("running: 1; not running: --share 0/3, --share 2/3"), "{taken}");
+    }
 
     #[test]
     fn every_tile_has_one_owner() {
