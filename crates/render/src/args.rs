@@ -183,6 +183,11 @@ impl RenderArgs {
         (JOB_RAYS / u64::from(self.asking() + 1)).max(64)
     }
 
+    /// Whether gathered light is smoothed.
+    pub(crate) fn smooths(&self) -> bool {
+        self.indirect == Indirect::FinalGather && self.gather_smoothing > 0.0
+    }
+
     /// Camera rays that a pixel may have beyond the first ones.
     pub(crate) fn more_samples(&self) -> u32 {
         // Fewer cannot be told apart.

@@ -21,7 +21,7 @@ use std::sync::Arc;
 
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
 use enf_illumination::{Gather, IrradianceCache, Kernel, PhotonMap};
-use enf_image::Film;
+use enf_image::{Film, Gathered};
 use enf_layout::film::PixelRecord;
 use enf_layout::journal::LightPairRecord;
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
@@ -136,7 +136,9 @@ fn refuse_if_hopeless(
         + bytes_in_flight(common, &cli.render)
         + together;
     let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
-    let film = film_bytes(pixels.min(BAND_PIXELS));
+    let widest = views.iter().map(|v| v.camera.width).max().unwrap_or(0);
+    let film = film_bytes(pixels.min(BAND_PIXELS))
+        + if cli.render.smooths() { smooth::bytes(pixels.min(BAND_PIXELS), widest) } else { 0 };
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     for (id, room) in tables.rooms().iter().enumerate() {
         let mut mesh = 0;
@@ -181,10 +183,7 @@ fn bytes_in_flight(common: &CommonArgs, args: &RenderArgs) -> u64 {
 
 /// A band of film and its developed pixels.
 fn film_bytes(pixels: u32) -> u64 {
-    let each = Film::bytes_per_pixel()
-        + size_of::<PixelRecord>()
-        + adaptive::BYTES_PER_PIXEL
-        + smooth::BYTES_PER_PIXEL;
+    let each = Film::bytes_per_pixel() + size_of::<PixelRecord>() + adaptive::BYTES_PER_PIXEL;
     each as u64 * u64::from(pixels)
 }
 
@@ -463,57 +462,98 @@ impl Driver<'_> {
         let progress = Progress::new(self.common, "render", Some(rays), "rays");
         let share = done.len() as f64 / f64::from(bands.max(1));
         progress.resume((share * rays as f64) as u64, share);
-        for band in (0..bands).filter(|b| !done.contains(b)) {
-            let first_pixel = band * BAND_PIXELS;
-            let pixels = BAND_PIXELS.min(total - first_pixel);
-            let reservation = loop {
-                match self.budget.reserve(film_bytes(pixels), "film") {
-                    Err(_) if self.make_way()? => {}
-                    other => break other?,
-                }
-            };
-            let mut work = Band {
-                film: Arc::new(Film::new(pixels as usize)),
-                _reservation: reservation,
-                first_pixel,
-                pixels,
-                pass: Pass::All,
-                launches: Vec::new(),
-            };
-            self.band(&mut work, &progress)?;
-            let mut samples = vec![self.context.samples; pixels as usize];
-            if self.args.more_samples() > 0 {
-                let more = adaptive::more(&work.film, self.context, first_pixel, self.args);
-                let mut before = Vec::with_capacity(more.len() + 1);
-                before.push(0);
-                for (samples, &more) in samples.iter_mut().zip(&more) {
-                    *samples += more;
-                    before.push(before[before.len() - 1] + u64::from(more));
-                }
-                if before[before.len() - 1] > 0 {
-                    work.pass = Pass::More(Arc::new(before));
-                    self.band(&mut work, &progress)?;
-                }
+        let smoothed = self.args.smooths();
+        let widest = self.context.views.iter().map(|v| v.camera.width).max().unwrap_or(0);
+        // Two bands wait for their neighbours, or for being one.
+        let _reservation = match smoothed {
+            true => Some(self.reserve(smooth::bytes(total.min(BAND_PIXELS), widest), "film")?),
+            false => None,
+        };
+        let mut window = smooth::Window::new(widest);
+        for band in 0..bands {
+            let write = !done.contains(&band);
+            // What comes after a band is smoothed across its edge: the same samples make the same bits once more.
+            let before = smoothed && band + 1 < bands && !done.contains(&(band + 1));
+            if !(write || before) {
+                continue;
             }
-            let mut records = vec![PixelRecord::default(); pixels as usize];
-            let gathering = self.context.samples;
-            work.film.resolve_each(0, |pixel| samples[pixel], gathering, &mut records);
-            if self.args.indirect == Indirect::FinalGather && self.args.gather_smoothing > 0.0 {
-                let share = self.args.gather_smoothing;
-                smooth::smooth(&work.film, self.context, first_pixel, share, &mut records);
+            let (records, gathered) = self.expose(band, total, &progress)?;
+            if !smoothed {
+                self.put(band, &records)?;
+                continue;
             }
-            self.writer.append(
-                ExtentKind::Film,
-                band,
-                u64::from(pixels),
-                records.as_bytes(),
-                Codec::Raw,
-            )?;
-            self.writer.commit()?;
+            let ready = window.push(smooth::Exposed { band, write, records, gathered });
+            if let Some((band, records)) = ready.and_then(|_| window.take(self.context, self.args))
+            {
+                self.put(band, &records)?;
+            }
+        }
+        if let Some((band, records)) = window.take(self.context, self.args) {
+            self.put(band, &records)?;
         }
         self.shown.evictions = self.rows.evictions();
         progress.finish();
         Ok(())
+    }
+
+    /// Reserves memory; maps and tiles that are not in use make way.
+    fn reserve(&mut self, bytes: u64, what: &'static str) -> Result<Reservation> {
+        loop {
+            match self.budget.reserve(bytes, what) {
+                Err(_) if self.make_way()? => {}
+                other => return Ok(other?),
+            }
+        }
+    }
+
+    /// Writes a band.
+    fn put(&mut self, band: u32, records: &[PixelRecord]) -> Result<()> {
+        let count = records.len() as u64;
+        self.writer.append(ExtentKind::Film, band, count, records.as_bytes(), Codec::Raw)?;
+        Ok(self.writer.commit()?)
+    }
+
+    /// Makes a band: its pixels, and what gather rays say about them.
+    fn expose(
+        &mut self,
+        band: u32,
+        total: u32,
+        progress: &Progress,
+    ) -> Result<(Vec<PixelRecord>, Vec<Gathered>)> {
+        let first_pixel = band * BAND_PIXELS;
+        let pixels = BAND_PIXELS.min(total - first_pixel);
+        let reservation = self.reserve(film_bytes(pixels), "film")?;
+        let mut work = Band {
+            film: Arc::new(Film::new(pixels as usize)),
+            _reservation: reservation,
+            first_pixel,
+            pixels,
+            pass: Pass::All,
+            launches: Vec::new(),
+        };
+        self.band(&mut work, progress)?;
+        let mut samples = vec![self.context.samples; pixels as usize];
+        if self.args.more_samples() > 0 {
+            let more = adaptive::more(&work.film, self.context, first_pixel, self.args);
+            let mut before = Vec::with_capacity(more.len() + 1);
+            before.push(0);
+            for (samples, &more) in samples.iter_mut().zip(&more) {
+                *samples += more;
+                before.push(before[before.len() - 1] + u64::from(more));
+            }
+            if before[before.len() - 1] > 0 {
+                work.pass = Pass::More(Arc::new(before));
+                self.band(&mut work, progress)?;
+            }
+        }
+        let mut records = vec![PixelRecord::default(); pixels as usize];
+        let gathering = self.context.samples;
+        work.film.resolve_each(0, |pixel| samples[pixel], gathering, &mut records);
+        let gathered = match self.args.smooths() {
+            true => (0..pixels as usize).map(|p| work.film.gathered(p, gathering)).collect(),
+            false => Vec::new(),
+        };
+        Ok((records, gathered))
     }
 
     /// One pass over a band.

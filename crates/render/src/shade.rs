@@ -535,7 +535,7 @@ impl Shader<'_> {
             if lobes.diffuse != Vec3::ZERO {
                 self.gathered(record, &surface, &lobes, hit.t, scratch, products);
             }
-            return self.go_on_here(record, &surface, &lobes, hit.t, products);
+            return self.go_on_here(record, &surface, &lobes, hit.t, scratch, products);
         }
         let pixel = self.film_pixel(record);
         if record.bounce == 0 {
@@ -555,7 +555,7 @@ impl Shader<'_> {
         if lobes.diffuse != Vec3::ZERO || lobes.gloss().is_some() {
             self.reflect(record, &surface, throughput, &lobes, scratch, products);
         }
-        self.go_on_here(record, &surface, &lobes, hit.t, products)
+        self.go_on_here(record, &surface, &lobes, hit.t, scratch, products)
     }
 
     /// [`Shader::go_on`]; false also when the ray goes on in another tile.
@@ -565,9 +565,12 @@ impl Shader<'_> {
         surface: &Surface,
         lobes: &Lobes,
         t: f32,
+        scratch: &mut Scratch,
         products: &mut Products,
     ) -> bool {
-        if !self.go_on(record, surface, lobes, t) {
+        let mut lobes = *lobes;
+        self.split(record, surface, &mut lobes, scratch, products);
+        if !self.go_on(record, surface, &lobes, t) {
             return false;
         }
         if record.t == 0.0 {
@@ -581,6 +584,41 @@ impl Shader<'_> {
             }
         }
         true
+    }
+
+    /// Where the eye looks at glass, it sees what is mirrored and what is behind: a ray goes both ways, for one of them by
+    /// chance would be a grain in the picture.
+    fn split(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        lobes: &mut Lobes,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let beyond = lobes.transmitted + lobes.refracted;
+        let first = record.flags & TRANSIT_GATHER == 0 && record.bounce == 0;
+        if !first || lobes.gloss().is_some() || beyond == Vec3::ZERO {
+            return;
+        }
+        let direction = Vec3::from(record.direction);
+        if let Some(reflected) = lobes.reflect(direction, surface.normal, [0.0; 2]) {
+            let origin = surface.origin;
+            let direction = reflected.direction;
+            let flux = Vec3::from(record.flux) * reflected.weight;
+            let mirrored = TransitRecord {
+                origin: origin.to_array(),
+                direction: direction.to_array(),
+                flux: flux.to_array(),
+                t: 0.0,
+                leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
+                bounce: 1,
+                last_triangle: surface.triangle,
+                ..*record
+            };
+            self.send(mirrored, scratch, products);
+            lobes.mirror = Vec3::ZERO;
+        }
     }
 
     /// Mirror or gloss, straight on, or refracted: one of them by chance; false when the path ends.

@@ -7,18 +7,27 @@
 //! in a corner. (A pixel that sees an edge takes that of the pixels next to it.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
 //! left alone.
 //!
-//! A band of the picture is smoothed on its own: the same pixels whatever the budget, threads and tiles.
+//! Bands wait for their neighbours, so that no edge shows: the same pixels whatever the budget, threads and tiles.
 
-use enf_image::Film;
+use std::ops::Range;
+
+use enf_image::Gathered;
 use enf_layout::film::PixelRecord;
 use glam::Vec3;
 
 use crate::shade::Context;
+use crate::{BAND_PIXELS, RenderArgs};
 
 /// Pixels to each side that are looked at.
 const REACH: u32 = 8;
 /// Pixels over which it is averaged in corners as well.
 const LEAST: u32 = 2;
+/// Pixels to each side over which the distance to what is around is averaged.
+const NEAR_REACH: u32 = 2;
+/// Surroundings are as near up to this ratio ...
+const ALIKE_NEAR: f32 = 1.2;
+/// ... and then a pixel counts so many times as far.
+const ALONG: f32 = 4.0;
 /// Least cosine between the normals of pixels that see one surface.
 const SAME_NORMAL: f32 = 0.97;
 /// Least length of a mean normal: below, the pixel sees several surfaces.
@@ -40,17 +49,96 @@ struct Seen {
     room: f32,
 }
 
-/// Bytes per pixel that smoothing takes.
-pub(crate) const BYTES_PER_PIXEL: usize = size_of::<Seen>() + size_of::<f32>();
+/// Bytes that smoothing takes where bands have so many pixels and pictures this width: two bands, edges of others, and
+/// what is made of them.
+pub(crate) fn bytes(band_pixels: u32, width: u32) -> u64 {
+    let (band, margin) = (u64::from(band_pixels), margin(width) as u64);
+    let about = band + 2 * margin;
+    let held = (size_of::<PixelRecord>() + size_of::<Gathered>()) as u64;
+    let made = (size_of::<Seen>() + size_of::<f32>()) as u64;
+    held * (2 * band + about) + made * about + size_of::<PixelRecord>() as u64 * band
+}
 
-/// Averages what gather rays have added to a band.
-pub(crate) fn smooth(
-    film: &Film,
+/// Pixels beyond a band's edge that matter to it, at most.
+fn margin(width: u32) -> usize {
+    (width as usize * (REACH + NEAR_REACH) as usize).min(BAND_PIXELS as usize)
+}
+
+/// A band as it was exposed.
+pub(crate) struct Exposed {
+    pub(crate) band: u32,
+    /// Whether it is still to be written.
+    pub(crate) write: bool,
+    pub(crate) records: Vec<PixelRecord>,
+    pub(crate) gathered: Vec<Gathered>,
+}
+
+/// The bands about the one that is smoothed next.
+pub(crate) struct Window {
+    /// See [`margin`].
+    margin: usize,
+    /// The last pixels of the band before.
+    before: (Vec<PixelRecord>, Vec<Gathered>),
+    current: Option<Exposed>,
+    next: Option<Exposed>,
+}
+
+impl Window {
+    /// An empty window for pictures of this width at most.
+    pub(crate) fn new(width: u32) -> Self {
+        Self { margin: margin(width), before: Default::default(), current: None, next: None }
+    }
+
+    /// Takes in the next band; whether one can be smoothed now.
+    pub(crate) fn push(&mut self, exposed: Exposed) -> Option<()> {
+        if self.current.is_none() {
+            self.current = Some(exposed);
+            return None;
+        }
+        self.next = Some(exposed);
+        Some(())
+    }
+
+    /// Smooths a band between those before and after it, as far as there are any, and moves on; `None` where there is no
+    /// band, or it was written before.
+    pub(crate) fn take(
+        &mut self,
+        context: &Context<'_>,
+        args: &RenderArgs,
+    ) -> Option<(u32, Vec<PixelRecord>)> {
+        let current = self.current.take()?;
+        let after = self.next.as_ref().map_or(0, |next| next.records.len().min(self.margin));
+        let smoothed = current.write.then(|| {
+            let mut records = std::mem::take(&mut self.before.0);
+            let mut gathered = std::mem::take(&mut self.before.1);
+            let first = records.len();
+            records.extend_from_slice(&current.records);
+            gathered.extend_from_slice(&current.gathered);
+            let end = records.len();
+            if let Some(next) = &self.next {
+                records.extend_from_slice(&next.records[..after]);
+                gathered.extend_from_slice(&next.gathered[..after]);
+            }
+            let first_pixel = current.band * BAND_PIXELS - first as u32;
+            let share = args.gather_smoothing;
+            (current.band, smooth(context, first_pixel, &records, &gathered, first..end, share))
+        });
+        let from = current.records.len().saturating_sub(self.margin);
+        self.before = (current.records[from..].to_vec(), current.gathered[from..].to_vec());
+        self.current = self.next.take();
+        smoothed
+    }
+}
+
+/// The pixels of `range`, with what gather rays have added averaged; the others of `records` lie about them.
+fn smooth(
     context: &Context<'_>,
     first_pixel: u32,
+    records: &[PixelRecord],
+    gathered: &[Gathered],
+    range: Range<usize>,
     share: f32,
-    records: &mut [PixelRecord],
-) {
+) -> Vec<PixelRecord> {
     let count = records.len();
     let seen: Vec<Seen> = records
         .iter()
@@ -60,7 +148,7 @@ pub(crate) fn smooth(
             let (origin, direction) = view.camera.ray(local, 0.5, 0.5);
             let normal = Vec3::from(record.normal);
             let flat = normal.length() > FLAT && record.depth > 0.0;
-            let gathered = film.gathered(pixel, context.samples);
+            let gathered = gathered[pixel];
             let arrives =
                 Vec3::from(gathered.radiance) / Vec3::from(record.albedo).max(Vec3::splat(DARK));
             Seen {
@@ -84,7 +172,7 @@ pub(crate) fn smooth(
     let near: Vec<f32> = (0..count)
         .map(|pixel| {
             let (mut sum, mut weight) = (0.0f32, 0.0f32);
-            context.neighbours(first_pixel, count, pixel, 2, |other, _| {
+            context.neighbours(first_pixel, count, pixel, NEAR_REACH, |other, _| {
                 if alike(&seen[pixel], &seen[other]) {
                     sum += seen[other].nearness;
                     weight += 1.0;
@@ -93,15 +181,20 @@ pub(crate) fn smooth(
             if weight > 0.0 { sum / weight } else { f32::INFINITY }
         })
         .collect();
-    for pixel in 0..count {
+    let smoothed = |pixel: usize| {
+        let mut record = records[pixel];
         let own = &seen[pixel];
         let flat = own.normal != Vec3::ZERO;
-        let albedo = Vec3::from(records[pixel].albedo);
+        let albedo = Vec3::from(record.albedo);
         let reach = share / near[pixel].max(1e-6);
         let (mut sum, mut weights) = (Vec3::ZERO, Vec3::ZERO);
         let pixels = if flat { REACH } else { 1 };
         context.neighbours(first_pixel, count, pixel, pixels, |other, squares| {
             let there = &seen[other];
+            // Along a corner, where the surroundings stay as near, light changes less than across.
+            let alike_near =
+                near[pixel] < ALIKE_NEAR * near[other] && near[other] < ALIKE_NEAR * near[pixel];
+            let reach = if alike_near { ALONG * reach } else { reach };
             let weight = 1.0 - (own.position - there.position).length() / reach;
             let window = |pixels: u32| 1.0 - squares as f32 / ((pixels + 1) * (pixels + 1)) as f32;
             // A round window, so that the reach's end is no edge; and some pixels always, for a picture shows no less.
@@ -119,7 +212,8 @@ pub(crate) fn smooth(
         let change = albedo * (after - before);
         let known = albedo.cmpge(Vec3::splat(DARK));
         let change = Vec3::select(known, change, Vec3::ZERO);
-        let indirect = Vec3::from(records[pixel].indirect) + change;
-        records[pixel].indirect = indirect.max(Vec3::ZERO).to_array();
-    }
+        record.indirect = (Vec3::from(record.indirect) + change).max(Vec3::ZERO).to_array();
+        record
+    };
+    range.map(smoothed).collect()
 }
