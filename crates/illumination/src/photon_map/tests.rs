@@ -3,7 +3,7 @@
 use std::f32::consts::PI;
 
 use enf_layout::octahedral;
-use enf_layout::photon::{PHOTON_AXIS_MASK, PHOTON_HALO, PhotonRecord};
+use enf_layout::photon::{PHOTON_HALO, PhotonRecord};
 use glam::Vec3;
 use proptest::prelude::*;
 use zerocopy::IntoBytes;
@@ -12,10 +12,7 @@ use super::tests_support::{Random, coarse_photon, door, impact, shuffled};
 use super::*;
 
 fn blob(photons: &[PhotonRecord], radius: f32) -> Vec<u8> {
-    let mut tree = photons.to_vec();
-    build_tree(&mut tree, &mut photons.to_vec(), 1);
-    let halo = photons.iter().filter(|p| p.flags & PHOTON_HALO != 0).count();
-    let blob = PhotonMap::build_blob(&tree, halo as u64, radius);
+    let blob = PhotonMap::build_blob(photons, radius);
     PhotonMap::from_blob(&blob).unwrap().check().unwrap();
     blob
 }
@@ -50,7 +47,7 @@ fn brute_force(
             && (p.flags & PHOTON_HALO == 0 || portals.crosses(x, Vec3::from(p.position())));
         if counts {
             let mut stored = *p;
-            stored.flags &= !(PHOTON_HALO | PHOTON_AXIS_MASK);
+            stored.flags &= !PHOTON_HALO;
             found.push((d2.to_bits(), stored.as_bytes().to_vec(), p));
         }
     }
@@ -382,7 +379,7 @@ fn broken_trees_and_questions_do_not_panic() {
             p.position_bits = [0x7fc0_0000, 0x7f80_0000, 0xff80_0000];
         }
     }
-    let blob = PhotonMap::build_blob(&photons, 0, f32::INFINITY);
+    let blob = PhotonMap::build_blob(&photons, f32::INFINITY);
     for x in [Vec3::ZERO, Vec3::NAN, Vec3::INFINITY, Vec3::splat(f32::MAX)] {
         for n in [Vec3::Z, Vec3::NAN, Vec3::ZERO] {
             for radius in [1.0, f32::INFINITY, f32::MAX, 1e-40] {
