@@ -49,7 +49,8 @@ pub(crate) struct RoomLight {
 
 /// A photon map in memory, and the irradiance that was gathered from it so far.
 pub(crate) struct RoomMap {
-    pub(crate) map: Mapped,
+    /// Its pieces.
+    pub(crate) map: Vec<Mapped>,
     pub(crate) cache: IrradianceCache,
     pub(crate) _reservation: Reservation,
 }
@@ -238,7 +239,9 @@ impl Context<'_> {
             },
             room,
             map: match &job.light.map {
-                Some(room) => Some((PhotonMap::from_blob(&room.map)?, &room.cache)),
+                Some(room) => {
+                    Some((PhotonMap::from_pieces(room.map.iter().map(|m| &m[..]))?, &room.cache))
+                }
                 None => None,
             },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),

@@ -420,30 +420,31 @@ fn key(point: &Point, axis: usize) -> u64 {
 /// Orders points block by block.
 #[inline(always)]
 fn divide(points: &mut [Point], records: &[PhotonRecord]) {
-    // Ranges that wait: 11 halvings of a chunk leave a block.
-    let mut waiting = [(0usize, 0usize); 12];
+    // Ranges that wait, with the extent of their points: 11 halvings of a chunk leave a block.
+    let mut waiting = [(0usize, 0usize, [[0; 4]; 2]); 12];
     let mut depth = 0;
-    let (mut first, mut end) = (0, points.len());
+    let (mut first, mut end, mut about) = (0, points.len(), extent(points));
     loop {
         let part = &mut points[first..end];
-        let axis = longest_of(&extent(part));
+        let axis = longest_of(&about);
         if part.len() <= BLOCK_PHOTONS {
             order_block(part, axis, records);
             if depth == 0 {
                 return;
             }
             depth -= 1;
-            (first, end) = waiting[depth];
+            (first, end, about) = waiting[depth];
             continue;
         }
         let left = count_blocks(part.len()).next_power_of_two() / 2 * BLOCK_PHOTONS;
         part.select_nth_unstable_by_key(left, |p| key(p, axis));
         let median = part[left][axis];
-        let before = extent(&part[..left])[1][axis];
-        if before == median {
+        about = extent(&part[..left]);
+        if about[1][axis] == median {
             settle(part, left, axis, records);
+            about = extent(&part[..left]);
         }
-        waiting[depth] = (first + left, end);
+        waiting[depth] = (first + left, end, extent(&part[left..]));
         depth += 1;
         end = first + left;
     }

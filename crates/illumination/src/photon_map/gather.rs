@@ -10,7 +10,7 @@
 //! 5. if it is a neighbour's, can be reached through an opening.
 
 use enf_layout::map::{BLOCK_PHOTONS, MapBlock};
-use enf_layout::photon::PHOTON_HALO;
+use enf_layout::photon::{PHOTON_CAUSTIC, PHOTON_HALO};
 use glam::Vec3;
 
 use super::lanes::{Instructions, Level, ways};
@@ -208,7 +208,7 @@ impl PhotonMap<'_> {
         };
         scratch.instructions.run(search);
         scratch.remember(point);
-        estimate(self, &scratch.notes, radius, gather.kernel)
+        estimate(self, &scratch.notes, normal, point, radius, gather.kernel)
     }
 }
 
@@ -326,6 +326,8 @@ const FRACTION_BITS: i32 = 40;
 fn estimate(
     map: &PhotonMap<'_>,
     notes: &Notes,
+    normal: Vec3,
+    point: Vec3,
     largest_radius: f32,
     kernel: Kernel,
 ) -> Irradiance {
@@ -341,37 +343,155 @@ fn estimate(
         radius = farthest.max(smallest);
         skipped = usize::from(farthest >= smallest);
     }
-    let flux = |i: usize| map.flux(found[i]);
-    let exponent = (skipped..found.len()).map(|i| flux(i)[3]).max().unwrap_or(0);
+    let (found, distances) = (&found[skipped..], &distances[skipped..]);
     let (r, r2) = (f64::from(radius), f64::from(radius) * f64::from(radius));
+    // Photons in one spot have no edges.
+    let enough = if radius > smallest { found.len() } else { 0 };
+    let mut lit = Lit::new(enough, normal);
+    let mut exponent = 0;
+    for (&number, &d2) in found.iter().zip(distances) {
+        let (block, i) = map.place(number);
+        exponent = exponent.max(block.flux[i][3]);
+        if lit.sectors > 0 && block.direction_flags[i] & CAUSTIC == 0 {
+            lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
+        }
+    }
     let mut sum = [0u128; 3];
-    for i in skipped..found.len() {
-        let d2 = f64::from(f32::from_bits(distances[i]));
-        let weight = match kernel {
-            Kernel::Constant => 1.0,
-            Kernel::Cone => 1.0 - d2.sqrt() / r,
-            Kernel::Epanechnikov => 1.0 - d2 / r2,
-        };
-        let [red, green, blue, e] = flux(i);
+    for (&number, &d2) in found.iter().zip(distances) {
+        let (block, i) = map.place(number);
+        let [red, green, blue, e] = block.flux[i];
         if e == 0 {
             continue;
         }
-        let scale = weight.max(0.0) * power_of_two(FRACTION_BITS - i32::from(exponent - e));
+        let below = i32::from(exponent - e);
+        let d2 = f64::from(f32::from_bits(d2));
+        let weight = match kernel {
+            Kernel::Constant => {
+                for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
+                    *sum += u128::from((u64::from(mantissa) << FRACTION_BITS) >> below.min(63));
+                }
+                continue;
+            }
+            Kernel::Cone => 1.0 - d2.sqrt() / r,
+            Kernel::Epanechnikov => 1.0 - d2 / r2,
+        };
+        let scale = weight.max(0.0) * power_of_two(FRACTION_BITS - below);
         for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
             *sum += u128::from((f64::from(mantissa) * scale) as u64);
         }
     }
-    let volume = match kernel {
-        Kernel::Constant => 1.0,
-        Kernel::Cone => 1.0 / 3.0,
-        Kernel::Epanechnikov => 0.5,
-    };
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
-    let area = std::f64::consts::PI * r2 * volume;
+    let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
-        photons: found.len() as u32,
+        photons: notes.photons().len() as u32,
         radius,
+    }
+}
+
+/// [`PHOTON_CAUSTIC`] where a block has it.
+const CAUSTIC: u32 = (PHOTON_CAUSTIC as u32) << 24;
+
+impl Kernel {
+    /// Mean of the weights over a disc.
+    fn volume(self) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::Cone => 1.0 / 3.0,
+            Self::Epanechnikov => 0.5,
+        }
+    }
+
+    /// How much of the weights lies in a sector, as a part of what a whole one has, where the farthest of `m` photons is
+    /// at `x` of the squared radius.
+    ///
+    /// Weights integrate to `x`, `3 x - 2 x^(3/2)` and `2 x - x^2`. If a sector ends at `x`, the farthest photon's `p`-th power
+    /// is on average `m / (m + p)` of its; the factors take that back term by term, so that the mean is exact.
+    fn part(self, x: f64, m: f64) -> f64 {
+        let power = |value: f64, p: f64| value * (m + p) / m;
+        match self {
+            Self::Constant => power(x, 1.0),
+            Self::Cone => 3.0 * power(x, 1.0) - 2.0 * power(x * x.sqrt(), 1.5),
+            Self::Epanechnikov => 2.0 * power(x, 1.0) - power(x * x, 2.0),
+        }
+    }
+}
+
+/// How much of a disc there is: at the edge of a table, or where the floor meets the wall, a disc goes on and the surface
+/// does not, and flux over the disc's area is too little.
+///
+/// The disc is looked at in sectors. Of `m` photons, spread evenly as far as some distance, the farthest is on average at
+/// `m / (m + 1)` of that distance squared; so `(m + 1) / m` of its squared distance says how far the surface goes on
+/// in the sector, without a bias, and with little variance. It is an estimate of the same kind as the k-th
+/// photon's for the whole disc, and unlike a convex hull (Jensen 2001, section 7.4) it is right in the middle of a
+/// surface. Light that varies moves the photons and not where they end. Caustics do end, so their photons are not asked.
+struct Lit {
+    /// 0 where there are too few photons to tell.
+    sectors: usize,
+    tangents: [Vec3; 2],
+    /// Photons, and the bits of the farthest one's squared distance, m².
+    sector: [(u32, u32); MOST_SECTORS],
+}
+
+/// Sectors of a disc at most.
+const MOST_SECTORS: usize = 32;
+/// Fewest photons of a sector, on average.
+const SECTOR_PHOTONS: usize = 7;
+/// No less than this part of a disc is there: as much as in the corner of a box.
+const LEAST_PART: f64 = 0.25;
+
+impl Lit {
+    fn new(photons: usize, normal: Vec3) -> Self {
+        let mut sectors = MOST_SECTORS;
+        while sectors >= 4 && photons < sectors * SECTOR_PHOTONS {
+            sectors /= 2;
+        }
+        let sectors = if sectors < 4 { 0 } else { sectors };
+        // Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+        let sign = 1.0f32.copysign(normal.z);
+        let a = -1.0 / (sign + normal.z);
+        let b = normal.x * normal.y * a;
+        let tangents = [
+            Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
+            Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
+        ];
+        Self { sectors, tangents, sector: [(0, 0); MOST_SECTORS] }
+    }
+
+    #[inline]
+    fn add(&mut self, way: Vec3, d2: u32) {
+        let (x, y) = (way.dot(self.tangents[0]), way.dot(self.tangents[1]));
+        let (a, b) = (x.abs(), y.abs());
+        let (long, short) = if a > b { (a, b) } else { (b, a) };
+        // Quarters, eighths, then parts of these by the tangents of pi/8, pi/16 and 3 pi/16.
+        let mut sector = usize::from(x < 0.0) | usize::from(y < 0.0) << 1;
+        if self.sectors > 4 {
+            sector |= usize::from(a > b) << 2;
+        }
+        if self.sectors > 8 {
+            let high = short > long * 0.414_213_56;
+            sector |= usize::from(high) << 3;
+            if self.sectors > 16 {
+                let middle = if high { 0.668_178_6 } else { 0.198_912_37 };
+                sector |= usize::from(short > long * middle) << 4;
+            }
+        }
+        let (photons, farthest) = &mut self.sector[sector];
+        *photons += 1;
+        *farthest = d2.max(*farthest);
+    }
+
+    /// The part of the disc, weighted with the kernel.
+    fn share(&self, r2: f64, kernel: Kernel) -> f64 {
+        let told: u32 = self.sector.iter().map(|s| s.0).sum();
+        if self.sectors == 0 || (told as usize) < self.sectors * SECTOR_PHOTONS {
+            return 1.0;
+        }
+        let part = |&(photons, farthest): &(u32, u32)| {
+            kernel.part(f64::from(f32::from_bits(farthest)) / r2, f64::from(photons.max(1)))
+        };
+        let sum: f64 = self.sector[..self.sectors].iter().map(part).sum();
+        (sum / self.sectors as f64).max(LEAST_PART)
     }
 }
 

@@ -176,27 +176,22 @@ impl<'a> PhotonMap<'a> {
     /// The photon of a number below [`PhotonMap::places`], as it was stored; for an empty place, or a number
     /// beyond, one at a place that is no number.
     pub fn photon(&self, number: u32) -> PhotonRecord {
-        let piece = self.pieces.partition_point(|p| p.first <= number).saturating_sub(1);
-        let nobody = PhotonRecord { position_bits: [NO_PHOTON; 3], ..PhotonRecord::default() };
-        self.pieces.get(piece).map_or(nobody, |piece| {
-            let number = (number - piece.first) as usize;
-            let block = piece.blocks.get(number / BLOCK_PHOTONS);
-            block.map_or(nobody, |block| block.photon(number % BLOCK_PHOTONS))
-        })
+        let (block, i) = self.place(number);
+        block.photon(i)
     }
 
-    /// The flux of a photon.
+    /// The block of a photon, and its place there.
     #[inline]
-    pub(super) fn flux(&self, number: u32) -> [u8; 4] {
+    pub(super) fn place(&self, number: u32) -> (&MapBlock, usize) {
         let piece = match &self.pieces[..] {
             [one] => Some(one),
             many => many.get(many.partition_point(|p| p.first <= number).saturating_sub(1)),
         };
-        piece.map_or([0; 4], |piece| {
-            let number = (number - piece.first) as usize;
-            let block = piece.blocks.get(number / BLOCK_PHOTONS);
-            block.map_or([0; 4], |block| block.flux[number % BLOCK_PHOTONS])
-        })
+        let found = piece.and_then(|piece| {
+            let number = number.wrapping_sub(piece.first) as usize;
+            Some((piece.blocks.get(number / BLOCK_PHOTONS)?, number % BLOCK_PHOTONS))
+        });
+        found.unwrap_or((&EMPTY_BLOCK, 0))
     }
 
     /// All photons with their numbers, in the order of these.
@@ -392,7 +387,7 @@ mod tests {
             assert_eq!(blob.len(), blob_bytes(n));
             assert_eq!(map.places(), n.next_multiple_of(16));
             let mut back: Vec<_> = map.photons().map(|(_, p)| p).collect();
-            assert!(map.photons().all(|(i, p)| map.photon(i) == p && map.flux(i) == p.flux));
+            assert!(map.photons().all(|(i, p)| map.photon(i) == p));
             let mut all = photons;
             crate::canonical_sort(&mut all);
             crate::canonical_sort(&mut back);

@@ -22,6 +22,7 @@ mod gather;
 mod lanes;
 mod map;
 mod order;
+mod pieces;
 mod portals;
 mod search;
 #[cfg(test)]
@@ -38,4 +39,5 @@ pub use gather::{
 pub use lanes::Instructions;
 pub use map::{PhotonMap, blob_bytes};
 pub use order::canonical_sort;
+pub use pieces::{Cube, DIVIDE_BYTES, PieceRange, divide};
 pub use portals::{BadPortals, PortalSet, wants_halo};
