@@ -75,25 +75,22 @@ fn main() {
     let n = numbers.first().copied().unwrap_or(100_000);
     let threads = numbers.get(1).copied().unwrap_or(1);
     let photons = impacts(n);
-    let mut best = [f64::INFINITY; 2];
-    let mut tree = photons.clone();
-    let mut scratch = photons.clone();
+    let mut best = f64::INFINITY;
+    let mut blob = vec![0; blob_bytes(n)];
     for _ in 0..3 {
-        tree.copy_from_slice(&photons);
-        best[0] = best[0].min(seconds(threads, || build_tree(&mut tree, &mut scratch, threads)));
-        scratch.copy_from_slice(&photons);
-        best[1] = best[1].min(seconds(1, || canonical_sort(&mut scratch)));
+        blob.fill(0);
+        let build = || build_map(&photons, &mut blob, 1.0, [0, 1], threads);
+        best = best.min(seconds(threads, build));
     }
-    let rate = |t: f64| n as f64 / t / 1e6;
-    println!("build_tree      {n} photons, {threads} threads: {:.2} M photons/s", rate(best[0]));
-    println!("canonical_sort  {n} photons: {:.2} M photons/s", rate(best[1]));
-    let blob = PhotonMap::build_blob(&tree, 0, 1.0);
+    println!(
+        "build_map       {n} photons, {threads} threads: {:.2} M photons/s",
+        n as f64 / best / 1e6
+    );
     let map = PhotonMap::from_blob(&blob).expect("the map was just built");
     let mut queries = photons;
     queries.truncate(20_000);
     let shuffled = queries.clone();
-    let mut ordered: Vec<_> = tree.iter().rev().take(20_000).copied().collect();
-    ordered.truncate(20_000);
+    let ordered: Vec<_> = map.photons().map(|(_, p)| p).take(20_000).collect();
     for k in [50u32, 200] {
         for kernel in [Kernel::Constant, Kernel::Cone] {
             for (name, queries) in [("random", &shuffled), ("in order", &ordered)] {

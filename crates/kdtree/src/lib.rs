@@ -5,16 +5,18 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::Args;
-use enf_illumination::photon_map::{self, PortalSet, build_tree, wants_halo};
+use enf_illumination::photon_map::{
+    Cube, DIVIDE_BYTES, PieceRange, PortalSet, blob_bytes, build_map, divide, wants_halo,
+};
+use enf_layout::map::PIECE_PHOTONS;
 use enf_layout::photon::{PHOTON_DIRECT, PHOTON_HALO, PhotonRecord};
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
-use enf_stage::ordered::ordered;
+use enf_stage::ordered::{Continue, ordered};
 use enf_stage::session::{self, Announcer, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, say};
 use enf_store::{Array, Buffer, MemoryBudget, StageReader, StageWriter, StoreDir};
 use serde_json::Value;
-use zerocopy::{FromBytes, IntoBytes};
 
 /// What decides about the maps.
 #[derive(Args, Clone, Debug)]
@@ -102,9 +104,8 @@ fn build(
     let made: BTreeSet<u32> =
         writer.extents().filter(|e| e.kind == ExtentKind::Map).map(|e| e.id).collect();
     let todo: Vec<u32> = rooms.iter().copied().filter(|r| !made.contains(r)).collect();
-    // The gathered list, and the blob in which the tree is built.
-    let record = size_of::<PhotonRecord>() as u64;
-    let needs = |room: u32| stored(photons, room) * record * 2 + (1 << 20);
+    // The gathered list, and the blob that is built from it.
+    let needs = |room: u32| stored(photons, room).min(PIECE_PHOTONS as u64) * 50 + (1 << 20);
     let largest = todo.iter().copied().map(needs).max().unwrap_or(0);
     // Two rooms at once where both fit with room for their halos, else all threads on one tree.
     let at_once = if largest * 5 / 2 < budget.available() / common.threads as u64 {
@@ -119,27 +120,49 @@ fn build(
     let progress = Progress::new(common, "photon maps", Some(total), "photons");
     let names: Vec<_> = (0..at_once).map(|t| format!("kdtree {t}")).collect();
     let timeline = &session.timeline;
+    let source = Source { tables, photons, budget: &budget, radius };
     let mut announcer = Announcer::new(rooms, out);
     let (mut sum, mut halo_sum, mut done) = (0, 0, 0);
     let mut finished = made;
+    let mut large = Vec::new();
     ordered(
         at_once,
         todo.len(),
         |worker, i| {
             let lane = timeline.lane(&names[worker]);
             let _span = lane.span("build map", todo[i]);
-            map_of(tables, photons, &budget, todo[i], radius, threads_each)
+            source.map_of(todo[i], threads_each)
         },
         |i, map| {
-            writer.append(ExtentKind::Map, todo[i], map.photons, &map.blob, Codec::Raw)?;
-            sum += map.photons;
-            halo_sum += map.halo;
-            done += stored(photons, todo[i]);
+            if let Some(map) = map {
+                writer.append(ExtentKind::Map, todo[i], map.photons, &map.blob, Codec::Raw)?;
+                sum += map.photons;
+                halo_sum += map.halo;
+                done += stored(photons, todo[i]);
+                finished.insert(todo[i]);
+            } else {
+                large.push(todo[i]);
+            }
             progress.set(done);
-            finished.insert(todo[i]);
             announcer.step(&mut writer, &|room| finished.contains(&room))
         },
     )?;
+    for room in large {
+        let lane = timeline.lane(&names[0]);
+        let _span = lane.span("build map", room);
+        source.pieces_of(room, common.threads, &mut |map| {
+            writer.append(ExtentKind::Map, room, map.photons, &map.blob, Codec::Raw)?;
+            sum += map.photons;
+            halo_sum += map.halo;
+            Ok(())
+        })?;
+        done += stored(photons, room);
+        progress.set(done);
+        finished.insert(room);
+        if announcer.step(&mut writer, &|room| finished.contains(&room))? == Continue::No {
+            break;
+        }
+    }
     announcer.end(&mut writer, &|room| finished.contains(&room))?;
     progress.finish();
     session.stats.set("map_photons", sum);
@@ -157,54 +180,150 @@ struct Map {
     halo: u64,
 }
 
-/// The map of one room: its own indirect photons, and its neighbours' within reach of a shared portal.
-fn map_of(
-    tables: &Tables,
-    photons: &StageReader,
-    budget: &MemoryBudget,
-    room: u32,
+/// Where photons come from.
+struct Source<'a> {
+    tables: &'a Tables,
+    photons: &'a StageReader,
+    budget: &'a MemoryBudget,
+    /// Width of the halo, m.
     radius: f32,
-    threads: usize,
-) -> Result<Map> {
-    let too_small = |_| {
-        let own = stored(photons, room);
+}
+
+impl Source<'_> {
+    /// Every photon of a room's map: its own indirect ones, and its neighbours' within reach of a shared portal.
+    fn each(&self, room: u32, each: &mut dyn FnMut(&PhotonRecord) -> Result<()>) -> Result<()> {
+        collect(self.photons, self.budget, room, each)?;
+        let portals = self.tables.portals_of(room);
+        for group in portals.chunk_by(|a, b| a.other == b.other) {
+            let openings = PortalSet::new(group, self.tables.pieces());
+            collect(self.photons, self.budget, group[0].other, &mut |photon| {
+                if wants_halo(&openings, photon, self.radius) {
+                    let mut photon = *photon;
+                    photon.flags |= PHOTON_HALO;
+                    each(&photon)?;
+                }
+                Ok(())
+            })?;
+        }
+        Ok(())
+    }
+
+    fn too_small(&self, room: u32, photons: u64) -> Failure {
+        let budget = self.budget;
         Failure::budget(format!(
-            "room {room} needs {} MiB for the map of its {own} photons, {} of {} MiB are free",
-            (own * 48).div_ceil(1 << 20),
+            "room {room} needs {} MiB for the map of {photons} photons, {} of {} MiB are free",
+            (photons * 50).div_ceil(1 << 20),
             budget.available() >> 20,
             budget.limit() >> 20
         ))
-        .with_hint(format!("--memory {}M would do", ((own * 64 + budget.reserved()) >> 20) + 16))
-    };
-    let mut list: Array<PhotonRecord> =
-        Array::with_capacity(budget, stored(photons, room) as usize, "photons of a room")
-            .map_err(too_small)?;
-    collect(photons, budget, room, &mut |photon| add(&mut list, *photon).map_err(too_small))?;
-    let own = list.len();
-    let portals = tables.portals_of(room);
-    for group in portals.chunk_by(|a, b| a.other == b.other) {
-        let openings = PortalSet::new(group, tables.pieces());
-        collect(photons, budget, group[0].other, &mut |photon| {
-            if wants_halo(&openings, photon, radius) {
-                let mut photon = *photon;
-                photon.flags |= PHOTON_HALO;
-                add(&mut list, photon).map_err(too_small)?;
-            }
+        .with_hint(format!(
+            "--memory {}M would do",
+            ((photons * 66 + budget.reserved()) >> 20) + 16
+        ))
+    }
+
+    /// The map of a room whose photons fit into one piece; nothing if there are more.
+    fn map_of(&self, room: u32, threads: usize) -> Result<Option<Map>> {
+        let own = stored(self.photons, room).min(PIECE_PHOTONS as u64);
+        let too_small = |_| self.too_small(room, own);
+        let mut list: Array<PhotonRecord> =
+            Array::with_capacity(self.budget, own as usize, "photons of a room")
+                .map_err(too_small)?;
+        let mut count = 0usize;
+        self.each(room, &mut |photon| {
+            count += 1;
+            if count <= PIECE_PHOTONS { add(&mut list, *photon).map_err(too_small) } else { Ok(()) }
+        })?;
+        if count > PIECE_PHOTONS {
+            return Ok(None);
+        }
+        self.piece(room, &list, [0, 1], threads).map(Some)
+    }
+
+    fn piece(
+        &self,
+        room: u32,
+        list: &[PhotonRecord],
+        number: [u32; 2],
+        threads: usize,
+    ) -> Result<Map> {
+        let bytes = blob_bytes(list.len());
+        let mut blob = Buffer::zeroed(self.budget, bytes, "map of a room")
+            .map_err(|_| self.too_small(room, list.len() as u64))?;
+        build_map(list, &mut blob, self.radius, number, threads);
+        let halo = list.iter().filter(|p| p.flags & PHOTON_HALO != 0).count() as u64;
+        Ok(Map { blob, photons: list.len() as u64, halo })
+    }
+
+    /// The map of a room with more photons than a piece may have, piece by piece: photons are looked at until it is known
+    /// where to cut, then the pieces are filled, as many at once as fit.
+    fn pieces_of(
+        &self,
+        room: u32,
+        threads: usize,
+        each: &mut dyn FnMut(Map) -> Result<()>,
+    ) -> Result<()> {
+        let mut cube = Cube::default();
+        self.each(room, &mut |photon| {
+            cube.add(photon);
             Ok(())
         })?;
+        let ranges = {
+            let _counts = self.budget.reserve(DIVIDE_BYTES, "cuts between photons");
+            divide(PIECE_PHOTONS as u64, |see| {
+                self.each(room, &mut |photon| {
+                    see(cube.number(photon));
+                    Ok(())
+                })
+            })?
+        };
+        let record = size_of::<PhotonRecord>() as u64;
+        let neighbours = self.tables.portals_of(room).iter().map(|p| p.other);
+        let block = neighbours
+            .chain([room])
+            .flat_map(|room| self.photons.find(ExtentKind::Photons, room))
+            .map(|extent| extent.read_peak_bytes())
+            .max()
+            .unwrap_or(0);
+        let mut first = 0;
+        while first < ranges.len() {
+            // The lists, and then one blob beside them; while they are filled, a block of photons.
+            let free = self.budget.available().saturating_sub(block.max(1 << 20));
+            let (mut end, mut bytes, mut largest) = (first, 0, 0);
+            while let Some(PieceRange { photons, .. }) = ranges.get(end) {
+                largest = largest.max(blob_bytes(*photons as usize) as u64);
+                bytes += photons * record;
+                if end > first && bytes + largest > free {
+                    break;
+                }
+                end += 1;
+            }
+            let mut lists = Vec::with_capacity(end - first);
+            for range in &ranges[first..end] {
+                let list: Array<PhotonRecord> =
+                    Array::with_capacity(self.budget, range.photons as usize, "photons of a room")
+                        .map_err(|_| self.too_small(room, range.photons))?;
+                lists.push(list);
+            }
+            let now = &ranges[first..end];
+            self.each(room, &mut |photon| {
+                let number = cube.number(photon);
+                let at = now.partition_point(|range| *range.numbers.end() < number);
+                if now.get(at).is_some_and(|range| range.numbers.contains(&number)) {
+                    lists[at]
+                        .push(*photon)
+                        .map_err(|_| Failure::internal("photons changed while they were read"))?;
+                }
+                Ok(())
+            })?;
+            for (i, list) in lists.into_iter().enumerate() {
+                let number = [(first + i) as u32, ranges.len() as u32];
+                each(self.piece(room, &list, number, threads)?)?;
+            }
+            first = end;
+        }
+        Ok(())
     }
-    let count = list.len();
-    let header = photon_map::write_header(count as u64, (count - own) as u64, radius);
-    let mut blob = Buffer::zeroed(budget, photon_map::blob_bytes(count), "tree of a room")
-        .map_err(too_small)?;
-    blob[..header.len()].copy_from_slice(&header);
-    let bytes = count * size_of::<PhotonRecord>();
-    let tree = &mut blob[header.len()..header.len() + bytes];
-    tree.copy_from_slice(list.as_bytes());
-    let tree =
-        <[PhotonRecord]>::mut_from_bytes(tree).map_err(|e| Failure::internal(e.to_string()))?;
-    build_tree(tree, &mut list, threads);
-    Ok(Map { blob, photons: count as u64, halo: (count - own) as u64 })
 }
 
 /// Appends, growing by a quarter when the halo is more than was thought.
@@ -213,7 +332,8 @@ fn add(
     photon: PhotonRecord,
 ) -> std::result::Result<(), enf_store::BudgetError> {
     if let Err(photon) = list.push(photon) {
-        list.resize_capacity(list.capacity() + list.capacity() / 4 + 1024)?;
+        let more = list.capacity() + list.capacity() / 4 + 1024;
+        list.resize_capacity(more.min(PIECE_PHOTONS.max(list.capacity() + 1)))?;
         // There is room now.
         let _ = list.push(photon);
     }

@@ -37,4 +37,4 @@ pub mod transit;
 pub const NONE: u32 = u32::MAX;
 
 /// The version of the whole store format. Any change of bytes raises it.
-pub const FORMAT_VERSION: u32 = 4;
+pub const FORMAT_VERSION: u32 = 5;

@@ -11,8 +11,6 @@ pub const PHOTON_CAUSTIC: u16 = 1 << 3;
 pub const PHOTON_BACK_SIDE: u16 = 1 << 4;
 /// In a map: the photon belongs to a neighbouring room (halo).
 pub const PHOTON_HALO: u16 = 1 << 5;
-/// In a map: the kd-tree's splitting axis, bits 0 and 1.
-pub const PHOTON_AXIS_MASK: u16 = 3;
 
 /// One impact.
 #[derive(

@@ -24,7 +24,9 @@ use enf_layout::light::{
     EmitterRecord, LIGHT_AREA, LIGHT_POINT, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY,
     LIGHT_SPOT, LIGHT_SUN, LightRecord,
 };
-use enf_layout::map::MapHeader;
+use enf_layout::map::{
+    BLOCK_PHOTONS, MapBlock, MapHeader, MapNode, NO_PHOTON, NODE_CHILDREN, PIECE_PHOTONS,
+};
 use enf_layout::material::{
     MATERIAL_GLOSS, MATERIAL_ONE_SIDED_EMITTER, MATERIAL_SEE_THROUGH, MATERIAL_SOLID,
     MaterialRecord,
@@ -319,7 +321,19 @@ fn records() -> Vec<Golden> {
             last_triangle: 12,
             impacts: 13,
         }
-        MapHeader { photons: 100_000, halo: 1234, radius: 0.6, reserved: 0 }
+        MapHeader { photons: 100_000, halo: 1234, radius: 0.6, piece: 2, pieces: 3, reserved: 0 }
+        MapBlock {
+            position_bits: std::array::from_fn(|axis| {
+                std::array::from_fn(|i| (axis as f32 + i as f32 * 0.125).to_bits())
+            }),
+            flux: std::array::from_fn(|i| [i as u8, 100 + i as u8, 200 + i as u8, 128]),
+            direction_flags: std::array::from_fn(|i| 0x0812_3400 + i as u32),
+            normal_flags: std::array::from_fn(|i| 0x0056_7800 + i as u32),
+        }
+        MapNode {
+            min: std::array::from_fn(|axis| std::array::from_fn(|i| (8 * axis + i) as f32)),
+            max: std::array::from_fn(|axis| std::array::from_fn(|i| (100 + 8 * axis + i) as f32)),
+        }
         PixelRecord {
             direct: [1.0, 2.0, 3.0],
             indirect: [4.0, 5.0, 6.0],
@@ -406,7 +420,10 @@ fn numbers() -> String {
         ("TEXTURE_MIRROR_X", TEXTURE_MIRROR_X),
         ("TEXTURE_MIRROR_Y", TEXTURE_MIRROR_Y),
         ("PIECE_CORNERS", PIECE_CORNERS as u32),
-        ("PHOTON_AXIS_MASK", PHOTON_AXIS_MASK.into()),
+        ("BLOCK_PHOTONS", BLOCK_PHOTONS as u32),
+        ("NODE_CHILDREN", NODE_CHILDREN as u32),
+        ("PIECE_PHOTONS", PIECE_PHOTONS as u32),
+        ("NO_PHOTON", NO_PHOTON),
         ("PHOTON_DIRECT", PHOTON_DIRECT.into()),
         ("PHOTON_CAUSTIC", PHOTON_CAUSTIC.into()),
         ("PHOTON_BACK_SIDE", PHOTON_BACK_SIDE.into()),

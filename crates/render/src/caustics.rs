@@ -5,13 +5,12 @@
 //! they are dense where they matter, so that a few of them make a sharp edge (Jensen 2001, section 8.3). Everything else
 //! in the map is found by gather rays.
 
-use enf_illumination::photon_map::{self, build_tree};
+use enf_illumination::photon_map::{blob_bytes, build_map};
 use enf_illumination::{Gather, GatherScratch, Kernel, PhotonMap, PortalSet};
-use enf_layout::photon::{PHOTON_CAUSTIC, PHOTON_HALO, PhotonRecord};
+use enf_layout::photon::PHOTON_CAUSTIC;
 use enf_layout::sections::Malformed;
 use enf_store::{Array, Buffer, MemoryBudget, StoreError};
 use glam::Vec3;
-use zerocopy::FromBytes;
 
 /// Photons that a caustic is estimated from: few, to keep it sharp.
 const PHOTONS: u32 = 60;
@@ -28,27 +27,18 @@ impl Caustics {
         map: &PhotonMap<'_>,
         budget: &MemoryBudget,
     ) -> Result<Option<Self>, StoreError> {
-        let caustic = |p: &&PhotonRecord| p.flags & PHOTON_CAUSTIC != 0;
-        let count = map.tree().iter().filter(caustic).count();
+        let photons = || map.photons().map(|(_, p)| p).filter(|p| p.flags & PHOTON_CAUSTIC != 0);
+        let count = photons().count();
         if count == 0 {
             return Ok(None);
         }
-        let photons = || map.tree().iter().filter(caustic);
-        let halo = photons().filter(|p| p.flags & PHOTON_HALO != 0).count();
-        let header = photon_map::write_header(count as u64, halo as u64, map.radius());
-        let mut blob = Buffer::zeroed(budget, photon_map::blob_bytes(count), "caustic photons")?;
-        blob[..header.len()].copy_from_slice(&header);
-        let bytes = count * size_of::<PhotonRecord>();
-        let tree = &mut blob[header.len()..header.len() + bytes];
-        let tree = <[PhotonRecord]>::mut_from_bytes(tree)
-            .map_err(|e| Malformed(format!("caustic photons: {e}")))?;
-        let mut scratch = Array::with_capacity(budget, count, "caustic photons")?;
-        for (place, photon) in tree.iter_mut().zip(photons()) {
-            *place = *photon;
+        let mut caustics = Array::with_capacity(budget, count, "caustic photons")?;
+        for photon in photons() {
             // There is room for all of them.
-            let _ = scratch.push(*photon);
+            let _ = caustics.push(photon);
         }
-        build_tree(tree, &mut scratch, 1);
+        let mut blob = Buffer::zeroed(budget, blob_bytes(count), "caustic photons")?;
+        build_map(&caustics, &mut blob, map.radius(), [0, 1], 1);
         Ok(Some(Self { blob }))
     }
 

@@ -656,14 +656,17 @@ impl Driver<'_> {
         }
         let sun = daylight::adapt(&mut lights, self.context.tables, room);
         let map = if self.context.indirect != Indirect::None {
-            let extent = *self.readers.maps.single(ExtentKind::Map, room)?;
-            let photons = extent.count as usize;
+            let extents = self.readers.maps.find(ExtentKind::Map, room);
+            let photons = extents.iter().map(|e| e.count as usize).sum();
             loop {
                 let attempt = || -> std::result::Result<RoomMap, StoreError> {
                     let bytes = IrradianceCache::bytes(photons);
                     let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
-                    let map = self.readers.maps.map(&extent, &self.budget, "photon map")?;
-                    let photons = PhotonMap::from_blob(&map)?;
+                    let map: Vec<_> = extents
+                        .iter()
+                        .map(|e| self.readers.maps.map(e, &self.budget, "photon map"))
+                        .collect::<std::result::Result<_, _>>()?;
+                    let photons = PhotonMap::from_pieces(map.iter().map(|m| &m[..]))?;
                     let cache = IrradianceCache::new(&photons);
                     let caustics = match self.context.indirect {
                         Indirect::FinalGather => Caustics::of(&photons, &self.budget)?,

@@ -62,7 +62,8 @@ pub(crate) struct RoomLight {
 
 /// A photon map in memory, and the irradiance that was gathered from it so far.
 pub(crate) struct RoomMap {
-    pub(crate) map: Mapped,
+    /// Its pieces.
+    pub(crate) map: Vec<Mapped>,
     pub(crate) cache: IrradianceCache,
     /// For final gathering, where there are any.
     pub(crate) caustics: Option<Caustics>,
@@ -322,7 +323,9 @@ impl Context<'_> {
             },
             room,
             map: match &job.light.map {
-                Some(room) => Some((PhotonMap::from_blob(&room.map)?, &room.cache)),
+                Some(room) => {
+                    Some((PhotonMap::from_pieces(room.map.iter().map(|m| &m[..]))?, &room.cache))
+                }
                 None => None,
             },
             caustics: match job.light.map.as_ref().and_then(|room| room.caustics.as_ref()) {

@@ -2,7 +2,7 @@
 //! Photon Map Global Illumination", Journal of Graphics Tools 4(3)): a gather looks at a hundred photons or more,
 //! the nearest few places where it was done already are found in a tenth of the time.
 //!
-//! Every fourth photon of the tree is such a place. Its irradiance is computed when it is first asked for and
+//! Every fourth photon of the map is such a place. Its irradiance is computed when it is first asked for and
 //! depends on the map alone, so it does not matter who asked, or when. A query takes the mean of the nearest
 //! places, weighted down to zero at the farthest of them: the result is continuous across the surface.
 
@@ -42,7 +42,7 @@ struct Place {
     position: [f32; 3],
     /// Octahedral normal, and the node's axis above it.
     normal_axis: u32,
-    /// The photon in the map's tree.
+    /// The photon in the map.
     photon: u32,
 }
 
@@ -74,13 +74,13 @@ impl IrradianceCache {
         let mut trees = [0; 7];
         for bin in 0..6 {
             let first = places.len();
-            for (i, photon) in map.tree().iter().enumerate().step_by(STRIDE) {
+            for (i, photon) in map.photons().filter(|(i, _)| *i as usize % STRIDE == 0) {
                 let [.., n0, n1, n2] = photon.directions;
                 if photon.flags & PHOTON_HALO == 0 && bin_of(direction(n0, n1, n2)) == bin {
                     places.push(Place {
                         position: photon.position(),
                         normal_axis: u32::from_le_bytes([n0, n1, n2, 0]),
-                        photon: i as u32,
+                        photon: i,
                     });
                 }
             }
@@ -288,7 +288,7 @@ impl Search<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::photon_map::{Kernel, build_tree};
+    use crate::photon_map::Kernel;
     use enf_layout::photon::PhotonRecord;
     use enf_layout::{octahedral, rgbe};
 
@@ -323,10 +323,8 @@ mod tests {
 
     #[test]
     fn a_uniform_plane_has_its_irradiance_and_the_other_side_its_own() {
-        let mut photons = plane(20_000);
-        let mut scratch = photons.clone();
-        build_tree(&mut photons, &mut scratch, 1);
-        let blob = PhotonMap::build_blob(&photons, 0, 0.5);
+        let photons = plane(20_000);
+        let blob = PhotonMap::build_blob(&photons, 0.5);
         let map = PhotonMap::from_blob(&blob).unwrap();
         let cache = IrradianceCache::new(&map);
         let gather = Gather { photons: 200, radius: 0.5, kernel: Kernel::Constant };
@@ -354,10 +352,8 @@ mod tests {
 
     #[test]
     fn it_does_not_matter_what_was_asked_before() {
-        let mut photons = plane(3_000);
-        let mut scratch = photons.clone();
-        build_tree(&mut photons, &mut scratch, 1);
-        let blob = PhotonMap::build_blob(&photons, 0, 0.5);
+        let photons = plane(3_000);
+        let blob = PhotonMap::build_blob(&photons, 0.5);
         let map = PhotonMap::from_blob(&blob).unwrap();
         let gather = Gather { photons: 50, radius: 0.5, kernel: Kernel::Constant };
         let mut scratch = GatherScratch::new(50);

@@ -9,12 +9,14 @@
 //! 4. came from the front, and
 //! 5. if it is a neighbour's, can be reached through an opening.
 
-use enf_layout::photon::{PHOTON_AXIS_MASK, PHOTON_HALO, PhotonRecord};
+use enf_layout::map::{BLOCK_PHOTONS, MapBlock};
+use enf_layout::photon::{PHOTON_CAUSTIC, PHOTON_HALO};
 use glam::Vec3;
 
+use super::lanes::{Instructions, Level, ways};
 use super::map::PhotonMap;
-use super::order::stored_cmp;
 use super::portals::{Opening, PortalSet};
+use super::search::{Anything, Filter, Notes, Search, Stack};
 
 /// Least cosine between a photon's surface and the query's. Surfaces that meet at 45 degrees, as in an
 /// octagonal room, do not share photons.
@@ -66,51 +68,106 @@ pub struct Irradiance {
     pub radius: f32,
 }
 
-/// A photon that counts: the bits of its squared distance, then its index. Squared distances are never
-/// negative, hence their bits order as they do.
-type Found = u64;
-
-/// A node on the way down, with how far the point is from what lies beyond it, per axis.
-#[derive(Clone, Copy, Debug, Default)]
-struct Postponed {
-    node: u32,
-    beyond: [f32; 3],
-}
-
-/// Deepest path in a tree of 2^32 photons.
-const DEPTH: usize = 33;
-
-/// Levels at the bottom of the tree that are cheaper to look through than to search.
-const BOTTOM_LEVELS: u32 = 3;
-
 /// Working memory of one thread that gathers; use it again and again.
 #[derive(Clone, Debug)]
 pub struct GatherScratch {
-    /// A max-heap once it is full.
-    found: Vec<Found>,
-    postponed: [Postponed; DEPTH],
+    notes: Notes,
+    stack: Box<Stack>,
     openings: Vec<Opening>,
+    instructions: Instructions,
+    /// Where the last search was that found all that it looked for, and how far it had to look, m.
+    last: Option<(Vec3, f32)>,
 }
 
 impl GatherScratch {
     /// Room for gathers of up to this many photons. (A larger gather makes it grow, once.)
     pub fn new(photons: u32) -> Self {
         Self {
-            found: Vec::with_capacity(photons as usize),
-            postponed: [Postponed::default(); DEPTH],
+            notes: Notes::with_capacity(photons as usize),
+            stack: Box::default(),
             openings: Vec::new(),
+            instructions: Instructions::default(),
+            last: None,
         }
+    }
+
+    /// Uses no more than these instructions. Results do not change.
+    pub fn with_instructions(mut self, instructions: Instructions) -> Self {
+        self.instructions = instructions;
+        self
     }
 
     /// Bytes that it occupies now.
     pub fn bytes(&self) -> usize {
         size_of::<Self>()
-            + self.found.capacity() * size_of::<Found>()
+            + size_of::<Stack>()
+            + self.notes.bytes()
             + self.openings.capacity() * size_of::<Opening>()
+    }
+
+    /// The square of a radius that probably holds what is looked for: queries that follow each other are often neighbours.
+    fn guess2(&self, point: Vec3) -> f32 {
+        self.last.map_or(f32::INFINITY, |(at, radius)| {
+            squared((radius + (point - at).length()) * (1.0 + 1e-5))
+        })
+    }
+
+    fn remember(&mut self, point: Vec3) {
+        let farthest = self.notes.distances2().first().map_or(0.0, |&d| f32::from_bits(d).sqrt());
+        self.last = self.notes.is_full().then_some((point, farthest));
+    }
+}
+
+/// The nearest photons, the farthest of them first if there are as many as were looked for, the others in no order.
+#[derive(Clone, Copy, Debug)]
+pub struct Nearest<'a> {
+    notes: &'a Notes,
+}
+
+impl<'a> Nearest<'a> {
+    /// How many were found.
+    pub fn len(&self) -> usize {
+        self.notes.photons().len()
+    }
+
+    /// Whether nothing was found.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Numbers ([`PhotonMap::photon`]) and squared distances, m².
+    pub fn iter(&self) -> impl Iterator<Item = (u32, f32)> + use<'a> {
+        let notes = self.notes;
+        notes.photons().iter().copied().zip(notes.distances2().iter().map(|&d| f32::from_bits(d)))
     }
 }
 
 impl PhotonMap<'_> {
+    /// The nearest `photons` within `radius` (m) of a point, whatever surface they are on; among those at the farthest
+    /// distance the first in the order of their bytes.
+    pub fn nearest<'s>(
+        &self,
+        point: Vec3,
+        photons: u32,
+        radius: f32,
+        scratch: &'s mut GatherScratch,
+    ) -> Nearest<'s> {
+        let guess2 = scratch.guess2(point);
+        let search = Search {
+            map: self,
+            point: point.to_array(),
+            radius2: if radius > 0.0 { squared(radius) } else { -1.0 },
+            guess2,
+            k: (photons as usize).min(self.len().saturating_add(1)),
+            notes: &mut scratch.notes,
+            stack: &mut scratch.stack,
+            filter: Anything,
+        };
+        scratch.instructions.run(search);
+        scratch.remember(point);
+        Nearest { notes: &scratch.notes }
+    }
+
     /// Irradiance on the front of a surface at `point` (m) with unit `normal`, from the nearest photons
     /// that count (see above).
     ///
@@ -135,29 +192,23 @@ impl PhotonMap<'_> {
         }
         let radius = gather.radius.min(self.radius());
         let k = (gather.photons.max(2) as usize).min(self.len().saturating_add(1));
-        let GatherScratch { found, postponed, openings } = scratch;
-        found.clear();
-        found.reserve(k);
-        let mut search = Search {
-            tree: self.tree(),
-            point,
-            normal,
-            radius,
-            floor2: squared(SLAB_FLOOR_M.min(SLAB_FLOOR_RADII * radius)),
+        let guess2 = scratch.guess2(point);
+        let floor2 = squared(SLAB_FLOOR_M.min(SLAB_FLOOR_RADII * radius));
+        let GatherScratch { notes, stack, openings, .. } = scratch;
+        let filter = Facing { point, normal, radius, floor2, portals, openings, known: false };
+        let search = Search {
+            map: self,
+            point: point.to_array(),
+            radius2: squared(radius),
+            guess2,
             k,
-            farthest2: squared(radius),
-            found,
-            dropped: None,
-            portals,
-            openings,
-            openings_known: false,
+            notes,
+            stack,
+            filter,
         };
-        search.run::<false>(postponed);
-        if search.is_tied() {
-            search.found.clear();
-            search.run::<true>(postponed);
-        }
-        estimate(self.tree(), search.found, k, radius, gather.kernel)
+        scratch.instructions.run(search);
+        scratch.remember(point);
+        estimate(self, &scratch.notes, normal, point, radius, gather.kernel)
     }
 }
 
@@ -165,215 +216,107 @@ fn squared(x: f32) -> f32 {
     x * x
 }
 
-struct Search<'a> {
-    tree: &'a [PhotonRecord],
+/// Photons that light the surface at a point: see the top of this file.
+struct Facing<'a> {
     point: Vec3,
     normal: Vec3,
     radius: f32,
     floor2: f32,
-    k: usize,
-    /// Photons farther than this (squared) need not be looked at.
-    farthest2: f32,
-    found: &'a mut Vec<Found>,
-    /// The squared distance at which a photon was last dropped that was no farther than one kept.
-    dropped: Option<f32>,
     portals: &'a PortalSet<'a>,
     openings: &'a mut Vec<Opening>,
-    openings_known: bool,
+    /// Whether the openings about the point are known.
+    known: bool,
 }
 
-impl Search<'_> {
-    /// Nearer child first; the node itself and what lies beyond it when that comes back, if it is still
-    /// near enough. The bound is exact in floating point too: `beyond` is no larger than a photon's own
-    /// offset along each axis, and rounding is monotone.
-    ///
-    /// `TIES`: go by the photons' bytes among equal distances. That is seldom needed, so a search is
-    /// made without first, which takes note if it was.
-    fn run<const TIES: bool>(&mut self, postponed: &mut [Postponed; DEPTH]) {
-        let tree = self.tree;
-        let point = self.point.to_array();
-        // The first of the subtrees that are looked through without asking further.
-        let bottom = (tree.len() + 1).div_ceil(1 << BOTTOM_LEVELS) - 1;
-        let (mut node, mut beyond, mut depth) = (0usize, [0.0f32; 3], 0usize);
-        loop {
-            while node < bottom {
-                let photon = &tree[node];
-                let (axis, offset) = offset(photon, &point);
-                let mut far = beyond;
-                far[axis] = offset;
-                postponed[depth] = Postponed { node: node as u32, beyond: far };
-                depth += 1;
-                node = 2 * node + 1 + usize::from(offset > 0.0);
-            }
-            let (mut first, mut width) = (node, 1);
-            while let Some(row) = tree.get(first..tree.len().min(first + width)) {
-                for (i, photon) in row.iter().enumerate() {
-                    self.consider::<TIES>(first + i, photon);
-                }
-                first = 2 * first + 1;
-                width *= 2;
-            }
-            loop {
-                if depth == 0 {
-                    return;
-                }
-                depth -= 1;
-                let next = &postponed[depth];
-                let [x, y, z] = next.beyond;
-                if (x * x + y * y) + z * z <= self.farthest2 {
-                    let here = next.node as usize;
-                    beyond = next.beyond;
-                    let photon = &tree[here];
-                    self.consider::<TIES>(here, photon);
-                    let (_, offset) = offset(photon, &point);
-                    node = 2 * here + 2 - usize::from(offset > 0.0);
-                    break;
-                }
+impl Filter for Facing<'_> {
+    #[inline(always)]
+    fn pass<L: Level>(
+        &mut self,
+        level: L,
+        block: &MapBlock,
+        d2: &[f32; BLOCK_PHOTONS],
+        mask: u32,
+    ) -> u32 {
+        let counts =
+            facing(block, &self.point.to_array(), &self.normal.to_array(), self.floor2, d2);
+        let mut mask = mask & level.nonzero16(&counts);
+        let mut halo = mask;
+        while halo != 0 {
+            let i = halo.trailing_zeros() as usize & (BLOCK_PHOTONS - 1);
+            halo &= halo - 1;
+            if block.direction_flags[i] & HALO != 0 && !self.reachable(block, i) {
+                mask &= !(1 << i);
             }
         }
+        mask
     }
+}
 
-    #[inline]
-    fn consider<const TIES: bool>(&mut self, index: usize, photon: &PhotonRecord) {
-        let way = position(photon) - self.point;
-        let d2 = way.length_squared();
-        if d2 <= self.farthest2 && self.counts(photon, way, d2) {
-            self.keep::<TIES>((u64::from(d2.to_bits()) << 32) | index as u64);
-        }
-    }
+/// [`PHOTON_HALO`] where a block has it.
+const HALO: u32 = (PHOTON_HALO as u32) << 24;
 
-    /// Whether several photons are at exactly the k-th distance: then it matters which of them is the
-    /// k-th, and which were dropped.
-    fn is_tied(&self) -> bool {
-        let ties = |f: &Found| distance2(*f) == self.farthest2;
-        self.found.len() == self.k
-            && (self.dropped == Some(self.farthest2) || self.found.iter().skip(1).take(2).any(ties))
-    }
-
-    /// Whether the photon counts, its distance apart.
-    #[inline]
-    fn counts(&mut self, photon: &PhotonRecord, way: Vec3, d2: f32) -> bool {
+/// All ones for each of sixteen photons that lies in the tangent plane, faces alike and came from the front.
+#[inline(always)]
+fn facing(
+    block: &MapBlock,
+    point: &[f32; 3],
+    normal: &[f32; 3],
+    floor2: f32,
+    d2: &[f32; BLOCK_PHOTONS],
+) -> [u32; BLOCK_PHOTONS] {
+    let (x, y, z) = (ways(block, point, 0), ways(block, point, 1), ways(block, point, 2));
+    let mut out = [0; BLOCK_PHOTONS];
+    for i in 0..BLOCK_PHOTONS {
         // Comparisons with a number that is none are false, and then the photon does not count.
-        let height = way.dot(self.normal);
-        let in_slab = height * height <= (SLAB_SLOPE * SLAB_SLOPE * d2).max(self.floor2);
-        if !in_slab {
-            return false;
-        }
-        let [d0, d1, d2, n0, n1, n2] = photon.directions;
-        let surface = direction(n0, n1, n2);
-        let cosine = surface.dot(self.normal);
-        let least = NORMAL_COSINE * NORMAL_COSINE * surface.length_squared();
-        let faces_alike = cosine > 0.0 && cosine * cosine > least;
-        let from_the_front = direction(d0, d1, d2).dot(self.normal) < 0.0;
-        if !(faces_alike && from_the_front) {
-            return false;
-        }
-        photon.flags & PHOTON_HALO == 0 || self.reachable(photon)
+        let height = x[i] * normal[0] + y[i] * normal[1] + z[i] * normal[2];
+        let slope = SLAB_SLOPE * SLAB_SLOPE * d2[i];
+        let most = if slope > floor2 { slope } else { floor2 };
+        let [u, v, w] = along(block.normal_flags[i]);
+        let cosine = u * normal[0] + v * normal[1] + w * normal[2];
+        let least = NORMAL_COSINE * NORMAL_COSINE * (u * u + v * v + w * w);
+        let [a, b, c] = along(block.direction_flags[i]);
+        let towards = a * normal[0] + b * normal[1] + c * normal[2];
+        let counts = (height * height <= most)
+            & (cosine > 0.0)
+            & (cosine * cosine > least)
+            & (towards < 0.0);
+        out[i] = if counts { u32::MAX } else { 0 };
     }
+    out
+}
 
+impl Facing<'_> {
     /// Whether the straight way to the photon passes an opening.
-    fn reachable(&mut self, photon: &PhotonRecord) -> bool {
-        if !self.openings_known {
+    #[cold]
+    #[inline(never)]
+    fn reachable(&mut self, block: &MapBlock, i: usize) -> bool {
+        if !self.known {
             self.portals.collect(self.point, self.radius, self.openings);
-            self.openings_known = true;
+            self.known = true;
         }
-        let (from, to) = (self.point.as_dvec3(), position(photon).as_dvec3());
+        let to = Vec3::from(block.position_bits.map(|axis| f32::from_bits(axis[i]))).as_dvec3();
+        let from = self.point.as_dvec3();
         self.openings.iter().any(|o| o.passes(from, to))
     }
-
-    /// Keeps the `k` nearest; among equals, with `TIES`, the first in the order of the photons' bytes.
-    #[inline]
-    fn keep<const TIES: bool>(&mut self, new: Found) {
-        let Some(&farthest) = self.found.first().filter(|_| self.found.len() == self.k) else {
-            self.found.push(new);
-            if self.found.len() == self.k {
-                for root in (0..self.k / 2).rev() {
-                    self.sift::<TIES>(root);
-                }
-                self.farthest2 = distance2(self.found[0]);
-            }
-            return;
-        };
-        if TIES {
-            if !self.farther::<TIES>(farthest, new) {
-                return;
-            }
-        } else if distance2(new) == distance2(farthest) {
-            self.dropped = Some(self.farthest2);
-            return;
-        }
-        self.found[0] = new;
-        self.sift::<TIES>(0);
-        self.farthest2 = distance2(self.found[0]);
-        if !TIES && self.farthest2 == distance2(farthest) {
-            self.dropped = Some(self.farthest2);
-        }
-    }
-
-    #[inline]
-    fn farther<const TIES: bool>(&self, a: Found, b: Found) -> bool {
-        if TIES && a >> 32 == b >> 32 {
-            return stored_cmp(photon(self.tree, a), photon(self.tree, b)).is_gt();
-        }
-        a > b
-    }
-
-    /// Restores the heap below `root`.
-    #[inline]
-    fn sift<const TIES: bool>(&mut self, mut root: usize) {
-        let moving = self.found[root];
-        let mut child = 2 * root + 1;
-        while child < self.found.len() {
-            let sibling = (child + 1).min(self.found.len() - 1);
-            let farther = self.farther::<TIES>(self.found[sibling], self.found[child]);
-            child = if farther { sibling } else { child };
-            if !self.farther::<TIES>(self.found[child], moving) {
-                break;
-            }
-            self.found[root] = self.found[child];
-            root = child;
-            child = 2 * root + 1;
-        }
-        self.found[root] = moving;
-    }
 }
 
-#[inline]
-fn distance2(found: Found) -> f32 {
-    f32::from_bits((found >> 32) as u32)
-}
-
-#[inline]
-fn photon(tree: &[PhotonRecord], found: Found) -> &PhotonRecord {
-    &tree[(found & 0xffff_ffff) as usize]
-}
-
-/// [`PhotonRecord::position`], here so that it is inlined: every photon that is looked at comes by.
-#[inline]
-fn position(photon: &PhotonRecord) -> Vec3 {
-    let [x, y, z] = photon.position_bits;
-    Vec3::new(f32::from_bits(x), f32::from_bits(y), f32::from_bits(z))
-}
-
-/// The node's axis, and how far the point is in front of it along that axis.
-#[inline]
-fn offset(photon: &PhotonRecord, point: &[f32; 3]) -> (usize, f32) {
-    let axis = usize::from(photon.flags & PHOTON_AXIS_MASK).min(2);
-    (axis, point[axis] - f32::from_bits(photon.position_bits[axis]))
-}
-
-/// An octahedral code ([`enf_layout::octahedral`]) as a vector along it, not of unit length: integers
+/// An octahedral code ([`enf_layout::octahedral`], lowest byte first) as a vector along it, not of unit length: integers
 /// up to 2047, exact, without a division or a root.
 #[inline]
 pub(super) fn direction(b0: u8, b1: u8, b2: u8) -> Vec3 {
+    Vec3::from(along(u32::from_le_bytes([b0, b1, b2, 0])))
+}
+
+/// The same of the lower 24 bits of a word.
+#[inline(always)]
+fn along(code: u32) -> [f32; 3] {
     const STEPS: i32 = 2047;
-    let code = i32::from(b0) | i32::from(b1) << 8 | i32::from(b2) << 16;
-    let (x, y) = ((code & 0xfff) - STEPS, (code >> 12) - STEPS);
+    let (x, y) = ((code & 0xfff) as i32 - STEPS, (code >> 12 & 0xfff) as i32 - STEPS);
     let z = STEPS - x.abs() - y.abs();
-    let fold = (-z).max(0);
+    let fold = if z < 0 { -z } else { 0 };
     let x = if x >= 0 { x - fold } else { x + fold };
     let y = if y >= 0 { y - fold } else { y + fold };
-    Vec3::new(x as f32, y as f32, z as f32)
+    [x as f32, y as f32, z as f32]
 }
 
 /// Bits behind the point of the flux sum, below the largest photon's step.
@@ -382,55 +325,174 @@ const FRACTION_BITS: i32 = 40;
 /// Flux over area. The sum is in fixed point at a scale that the largest photon sets: no order of
 /// summation, no rounding that depends on one.
 fn estimate(
-    tree: &[PhotonRecord],
-    found: &[Found],
-    k: usize,
+    map: &PhotonMap<'_>,
+    notes: &Notes,
+    normal: Vec3,
+    point: Vec3,
     largest_radius: f32,
     kernel: Kernel,
 ) -> Irradiance {
+    let (found, distances) = (notes.photons(), notes.distances2());
     if found.is_empty() {
         return Irradiance::default();
     }
     let smallest = SMALLEST_DISC_M.min(SMALLEST_DISC_RADII * largest_radius);
-    let (mut radius, mut counted) = (largest_radius, found);
-    if found.len() == k {
-        // The heap's root is the farthest photon: it gives the disc, unless the disc has a size anyway.
-        let farthest = distance2(found[0]).sqrt();
+    let (mut radius, mut skipped) = (largest_radius, 0);
+    if notes.is_full() {
+        // The first is the farthest photon: it gives the disc, unless the disc has a size anyway.
+        let farthest = f32::from_bits(distances[0]).sqrt();
         radius = farthest.max(smallest);
-        if farthest >= smallest {
-            counted = &found[1..];
+        skipped = usize::from(farthest >= smallest);
+    }
+    let (found, distances) = (&found[skipped..], &distances[skipped..]);
+    let (r, r2) = (f64::from(radius), f64::from(radius) * f64::from(radius));
+    // Photons in one spot have no edges.
+    let enough = if radius > smallest { found.len() } else { 0 };
+    let mut lit = Lit::new(enough, normal);
+    let mut exponent = 0;
+    for (&number, &d2) in found.iter().zip(distances) {
+        let (block, i) = map.place(number);
+        exponent = exponent.max(block.flux[i][3]);
+        if lit.sectors > 0 && block.direction_flags[i] & CAUSTIC == 0 {
+            lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
         }
     }
-    let exponent = counted.iter().map(|&f| photon(tree, f).flux[3]).max().unwrap_or(0);
-    let (r, r2) = (f64::from(radius), f64::from(radius) * f64::from(radius));
     let mut sum = [0u128; 3];
-    for &f in counted {
-        let d2 = f64::from(distance2(f));
-        let weight = match kernel {
-            Kernel::Constant => 1.0,
-            Kernel::Cone => 1.0 - d2.sqrt() / r,
-            Kernel::Epanechnikov => 1.0 - d2 / r2,
-        };
-        let [red, green, blue, e] = photon(tree, f).flux;
+    for (&number, &d2) in found.iter().zip(distances) {
+        let (block, i) = map.place(number);
+        let [red, green, blue, e] = block.flux[i];
         if e == 0 {
             continue;
         }
-        let scale = weight.max(0.0) * power_of_two(FRACTION_BITS - i32::from(exponent - e));
+        let below = i32::from(exponent - e);
+        let d2 = f64::from(f32::from_bits(d2));
+        let weight = match kernel {
+            Kernel::Constant => {
+                for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
+                    *sum += u128::from((u64::from(mantissa) << FRACTION_BITS) >> below.min(63));
+                }
+                continue;
+            }
+            Kernel::Cone => 1.0 - d2.sqrt() / r,
+            Kernel::Epanechnikov => 1.0 - d2 / r2,
+        };
+        let scale = weight.max(0.0) * power_of_two(FRACTION_BITS - below);
         for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
             *sum += u128::from((f64::from(mantissa) * scale) as u64);
         }
     }
-    let volume = match kernel {
-        Kernel::Constant => 1.0,
-        Kernel::Cone => 1.0 / 3.0,
-        Kernel::Epanechnikov => 0.5,
-    };
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
-    let area = std::f64::consts::PI * r2 * volume;
+    let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
-        photons: found.len() as u32,
+        photons: notes.photons().len() as u32,
         radius,
+    }
+}
+
+/// [`PHOTON_CAUSTIC`] where a block has it.
+const CAUSTIC: u32 = (PHOTON_CAUSTIC as u32) << 24;
+
+impl Kernel {
+    /// Mean of the weights over a disc.
+    fn volume(self) -> f64 {
+        match self {
+            Self::Constant => 1.0,
+            Self::Cone => 1.0 / 3.0,
+            Self::Epanechnikov => 0.5,
+        }
+    }
+
+    /// How much of the weights lies in a sector, as a part of what a whole one has, where the farthest of `m` photons is
+    /// at `x` of the squared radius.
+    ///
+    /// Weights integrate to `x`, `3 x - 2 x^(3/2)` and `2 x - x^2`. If a sector ends at `x`, the farthest photon's `p`-th power
+    /// is on average `m / (m + p)` of its; the factors take that back term by term, so that the mean is exact.
+    fn part(self, x: f64, m: f64) -> f64 {
+        let power = |value: f64, p: f64| value * (m + p) / m;
+        match self {
+            Self::Constant => power(x, 1.0),
+            Self::Cone => 3.0 * power(x, 1.0) - 2.0 * power(x * x.sqrt(), 1.5),
+            Self::Epanechnikov => 2.0 * power(x, 1.0) - power(x * x, 2.0),
+        }
+    }
+}
+
+/// How much of a disc there is: at the edge of a table, or where the floor meets the wall, a disc goes on and the surface
+/// does not, and flux over the disc's area is too little.
+///
+/// The disc is looked at in sectors. Of `m` photons, spread evenly as far as some distance, the farthest is on average at
+/// `m / (m + 1)` of that distance squared; so `(m + 1) / m` of its squared distance says how far the surface goes on
+/// in the sector, without a bias, and with little variance. It is an estimate of the same kind as the k-th
+/// photon's for the whole disc, and unlike a convex hull (Jensen 2001, section 7.4) it is right in the middle of a
+/// surface. Light that varies moves the photons and not where they end. Caustics do end, so their photons are not asked.
+struct Lit {
+    /// 0 where there are too few photons to tell.
+    sectors: usize,
+    tangents: [Vec3; 2],
+    /// Photons, and the bits of the farthest one's squared distance, m².
+    sector: [(u32, u32); MOST_SECTORS],
+}
+
+/// Sectors of a disc at most.
+const MOST_SECTORS: usize = 32;
+/// Fewest photons of a sector, on average.
+const SECTOR_PHOTONS: usize = 7;
+/// No less than this part of a disc is there: as much as in the corner of a box.
+const LEAST_PART: f64 = 0.25;
+
+impl Lit {
+    fn new(photons: usize, normal: Vec3) -> Self {
+        let mut sectors = MOST_SECTORS;
+        while sectors >= 4 && photons < sectors * SECTOR_PHOTONS {
+            sectors /= 2;
+        }
+        let sectors = if sectors < 4 { 0 } else { sectors };
+        // Duff et al. 2017, "Building an Orthonormal Basis, Revisited".
+        let sign = 1.0f32.copysign(normal.z);
+        let a = -1.0 / (sign + normal.z);
+        let b = normal.x * normal.y * a;
+        let tangents = [
+            Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
+            Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
+        ];
+        Self { sectors, tangents, sector: [(0, 0); MOST_SECTORS] }
+    }
+
+    #[inline]
+    fn add(&mut self, way: Vec3, d2: u32) {
+        let (x, y) = (way.dot(self.tangents[0]), way.dot(self.tangents[1]));
+        let (a, b) = (x.abs(), y.abs());
+        let (long, short) = if a > b { (a, b) } else { (b, a) };
+        // Quarters, eighths, then parts of these by the tangents of pi/8, pi/16 and 3 pi/16.
+        let mut sector = usize::from(x < 0.0) | usize::from(y < 0.0) << 1;
+        if self.sectors > 4 {
+            sector |= usize::from(a > b) << 2;
+        }
+        if self.sectors > 8 {
+            let high = short > long * 0.414_213_56;
+            sector |= usize::from(high) << 3;
+            if self.sectors > 16 {
+                let middle = if high { 0.668_178_6 } else { 0.198_912_37 };
+                sector |= usize::from(short > long * middle) << 4;
+            }
+        }
+        let (photons, farthest) = &mut self.sector[sector];
+        *photons += 1;
+        *farthest = d2.max(*farthest);
+    }
+
+    /// The part of the disc, weighted with the kernel.
+    fn share(&self, r2: f64, kernel: Kernel) -> f64 {
+        let told: u32 = self.sector.iter().map(|s| s.0).sum();
+        if self.sectors == 0 || (told as usize) < self.sectors * SECTOR_PHOTONS {
+            return 1.0;
+        }
+        let part = |&(photons, farthest): &(u32, u32)| {
+            kernel.part(f64::from(f32::from_bits(farthest)) / r2, f64::from(photons.max(1)))
+        };
+        let sum: f64 = self.sector[..self.sectors].iter().map(part).sum();
+        (sum / self.sectors as f64).max(LEAST_PART)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Photon maps: sort, balance, ask (Jensen 2001, chapters 5 to 7).
 //!
-//! A room's impacts become a left-balanced kd-tree without a single pointer ([`build_tree`]); a
+//! A room's impacts become a tree without a single pointer, neighbours sixteen to a block ([`build_map`]); a
 //! surface point asks it for the `k` nearest photons that agree with it, and divides their flux by
 //! the area of the disc that they fill ([`PhotonMap::irradiance`]).
 //!
@@ -16,23 +16,28 @@
 //!   point, so a result has the same bits whatever the order of arrival, the shape of the tree, or
 //!   the side of the portal that a photon was stored on.
 
+mod build;
 mod cache;
 mod gather;
+mod lanes;
 mod map;
 mod order;
+mod pieces;
 mod portals;
+mod search;
 #[cfg(test)]
 mod tests;
 #[cfg(test)]
 mod tests_support;
-mod tree;
 
+pub use build::build_map;
 pub use cache::IrradianceCache;
 pub use gather::{
-    Gather, GatherScratch, Irradiance, Kernel, NORMAL_COSINE, SLAB_FLOOR_M, SLAB_FLOOR_RADII,
-    SLAB_SLOPE, SMALLEST_DISC_M, SMALLEST_DISC_RADII,
+    Gather, GatherScratch, Irradiance, Kernel, NORMAL_COSINE, Nearest, SLAB_FLOOR_M,
+    SLAB_FLOOR_RADII, SLAB_SLOPE, SMALLEST_DISC_M, SMALLEST_DISC_RADII,
 };
-pub use map::{PhotonMap, blob_bytes, tail_padding, write_header};
+pub use lanes::Instructions;
+pub use map::{PhotonMap, blob_bytes};
 pub use order::canonical_sort;
+pub use pieces::{Cube, DIVIDE_BYTES, PieceRange, divide};
 pub use portals::{BadPortals, PortalSet, wants_halo};
-pub use tree::build_tree;
