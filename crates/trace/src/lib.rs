@@ -528,6 +528,10 @@ impl Driver<'_> {
                 self.ask(|reply| Message::Commit { reply })??;
             }
         }
+        if self.share.of == 1 {
+            // Sums of flux round.
+            progress.at(total, 1.0);
+        }
         progress.finish();
         Ok(())
     }
