@@ -6,7 +6,7 @@ mod common;
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 
-use common::{bin, digest, fails, furnished, ok, shell, stderr, stdout};
+use common::{bin, digest, furnished, ok, shell, stderr, stdout};
 
 const TRACE: [&str; 8] =
     ["--photons-per-light", "30k", "--queue-rows", "2", "--queue-block", "100", "--epoch", "0.05"];
@@ -150,28 +150,4 @@ fn a_file_that_may_not_grow_is_an_error_and_no_signal() {
     for (name, wanted) in PICTURES.iter().zip(pictures) {
         assert!(std::fs::read(dir.path().join("pictures").join(name)).unwrap() == wanted, "{name}");
     }
-}
-
-/// Ids that cannot be written are an error too; the room is kept, and the same command prints it.
-#[test]
-fn a_full_standard_output() {
-    let dir = tempfile::tempdir().unwrap();
-    let scene = furnished(dir.path());
-    let store = dir.path().join("b.enf");
-    let full = || std::fs::File::options().write(true).open("/dev/full").unwrap();
-    let partition = |store: &Path| {
-        let mut command = bin("enf-partition");
-        command.arg(&scene).arg("-o").arg(store);
-        command
-    };
-    let failed = partition(&store).stdout(full()).output().unwrap();
-    assert_eq!(failed.status.code(), Some(5));
-    let said = stderr(&failed);
-    assert!(said.contains("room ids") && said.contains("No space left"), "{said}");
-    let said = stderr(&ok(&mut partition(&store)));
-    assert!(said.contains("nothing to do"), "{said}");
-    let failed = bin("enf-grid").arg(&store).stdout(full()).output().unwrap();
-    assert_eq!(failed.status.code(), Some(5), "{}", stderr(&failed));
-    ok(bin("enf-grid").arg(&store));
-    fails(bin("enf-kdtree").arg(&store), 4);
 }

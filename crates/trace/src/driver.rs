@@ -157,6 +157,11 @@ impl<'a> Driver<'a> {
             self.flying -= 1;
         }
         driven?;
+        if self.manner.share.of == 1 {
+            // Sums of flux round.
+            let lights = self.context.tables.lights().len();
+            self.progress.at(self.context.counts.total(lights), 1.0);
+        }
         self.progress.finish();
         Ok(self.cache.loads().clone())
     }
