@@ -41,10 +41,9 @@ fn mean(picture: &Loaded, channel: &str) -> f64 {
 
 const GATHER: [&str; 2] = ["--indirect", "final-gather"];
 
-/// A closed box that glows and reflects alike everywhere: radiance is Le / (1 - rho), up into the corners, where a photon
-/// map alone is too dark.
+/// A closed box that glows and reflects alike everywhere: radiance is Le / (1 - rho), in one room and in many.
 #[test]
-fn a_furnace_is_even_up_to_its_corners() {
+fn a_furnace_is_even() {
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("furnace.toml");
     let mut model = Model::default();
@@ -52,29 +51,77 @@ fn a_furnace_is_even_up_to_its_corners() {
     model.material("glow");
     model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
     model.write(&dir.path().join("box.obj"), "newmtl glow\nKd 0.5 0.5 0.5\nKe 2 2 2\n");
-    // Into a corner, from near.
     std::fs::write(
         &scene,
-        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [3.5, 3.5, 3.5]\ntarget = [4, 4, 4]\nfov = 50\n",
+        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [2, 2, 2]\ntarget = [3.9, 2, 2]\nfov = 40\n",
     )
     .unwrap();
     for rooms in ["1", "8"] {
-        let store = light(&scene, "100k", &["--rooms", rooms]);
+        let store = light(&scene, "400k", &["--rooms", rooms]);
         let flags = ["--width", "40", "--height", "40", "--samples", "8", "--max-samples", "8"];
         let gather = [&GATHER[..], &flags[..], &["--gather-rays", "16"]].concat();
         let picture = render(&store, dir.path(), "g", "in", &gather);
-        // All light but the lamps' own, once reflected: rho (L - Le). Direct light has no finite deviation in a corner of lamps.
+        // All but what the walls send out themselves, and that once reflected: rho (L - Le). Half of it is from the map,
+        // which is too dark within 0.1 m of edges, a tenth of the walls; the rest is from 25,600 paths.
         let found = mean(&picture, "indirect.G");
-        // Half of it is from the map, whose mean is that of 100,000 photons; the rest is from 25,600 paths.
         assert!((found - 1.0).abs() < 0.03, "{found} in {rooms} rooms");
-        let indirect = picture.channel("indirect.G").unwrap();
-        let centre = 20 * 40 + 20;
-        let corner = [centre, centre - 1, centre - 40, centre - 41].map(|p| f64::from(indirect[p]));
-        let corner = corner.iter().sum::<f64>() / 4.0;
-        assert!((corner - 1.0).abs() < 0.15, "{corner} in the corner");
-        let plain = mean(&render(&store, dir.path(), "p", "in", &flags), "indirect.G");
-        assert!(plain < found, "a photon map alone is darker in a corner: {plain}, {found}");
+        assert!((mean(&picture, "G") - 4.0).abs() < 0.05, "in {rooms} rooms");
     }
+}
+
+/// The foot of a wall that gets light from the floor before it alone: near the corner half of what it sees is floor, and most
+/// of that is nearer than the photon map's disc.
+#[test]
+fn a_corner_is_neither_dark_nor_bright() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("corner.toml");
+    let mut model = Model::default();
+    let lamp = 30.0;
+    model.object("floor");
+    model.material("floor");
+    model.quad([[0.0, -3.0, 0.0], [6.0, -3.0, 0.0], [6.0, 3.0, 0.0], [0.0, 3.0, 0.0]]);
+    model.object("wall");
+    model.material("wall");
+    model.quad([[0.0, -3.0, 0.0], [0.0, 3.0, 0.0], [0.0, 3.0, 3.0], [0.0, -3.0, 3.0]]);
+    model.write(
+        &dir.path().join("corner.obj"),
+        "newmtl floor\nKd 0.6 0.6 0.6\nnewmtl wall\nKd 0.02 0.02 0.02\n",
+    );
+    // The lamp is in the plane of the wall, and shines along it.
+    std::fs::write(
+        &scene,
+        format!(
+            "[[mesh]]\nfile = \"corner.obj\"\n[[light]]\nkind = \"point\"\nposition = [0.001, 0, {lamp}]\nwatts = 90000\n\
+             [[view]]\nname = \"foot\"\neye = [1, 0, 0.3]\ntarget = [0, 0, 0.06]\nfov = 3\nwidth = 32\nheight = 32\n"
+        ),
+    )
+    .unwrap();
+    let store = light(&scene, "1000k", &[]);
+    let flags = ["--samples", "4", "--max-samples", "4"];
+    let gather = [&GATHER[..], &flags[..], &["--gather-rays", "64"]].concat();
+    let found = mean(&render(&store, dir.path(), "g", "foot", &gather), "indirect.G");
+    let plain = mean(&render(&store, dir.path(), "p", "foot", &flags), "indirect.G");
+    // The integral over the floor, in steps that grow with the distance.
+    let (z, n) = (0.06, 600);
+    let mut received = 0.0;
+    let step =
+        |i: i32, end: f64| 1e-4 * ((1.0 + end / 1e-4).powf(f64::from(i) / f64::from(n)) - 1.0);
+    for i in 0..n {
+        let (x0, x1) = (step(i, 6.0), step(i + 1, 6.0));
+        for j in 0..n {
+            let (y0, y1) = (step(j, 3.0), step(j + 1, 3.0));
+            let (x, y) = (0.5 * (x0 + x1), 0.5 * (y0 + y1));
+            let far: f64 = x * x + y * y + lamp * lamp;
+            let near: f64 = x * x + y * y + z * z;
+            let lit = 90_000.0 / (4.0 * PI) * lamp / (far * far.sqrt());
+            received += 2.0 * lit * x * z / (PI * near * near) * (x1 - x0) * (y1 - y0);
+        }
+    }
+    let expected = received * 0.6 * 0.02 / PI;
+    // 65,536 rays of which half meet the floor: deviation 0.4 %. The picture shows 5 cm of the wall, over which the integral
+    // is straight to a per cent.
+    assert!((found / expected - 1.0).abs() < 0.03, "{found} for {expected}");
+    assert!(plain < 0.9 * expected, "a photon map alone is dark there: {plain} for {expected}");
 }
 
 /// A plate above a floor that a lamp far above lights: what its underside gets from the floor is an integral.
@@ -154,10 +201,9 @@ fn gathered_light_is_what_many_photons_say() {
         let few = mean(&render(&store, dir.path(), "f", view, &gather), "indirect.G");
         // Edges and corners, of which there are many here, make the map some per cent too dark.
         assert!((gathered / many - 1.03).abs() < 0.05, "{view}: {gathered}, {many} by photons");
-        assert!(
-            (few / gathered - 1.0).abs() < 0.03,
-            "{view}: {few} from few, {gathered} from many"
-        );
+        // From afar the map still shows what its discs lose at edges: more, the wider they are.
+        let lost = few / gathered - 0.95;
+        assert!(lost.abs() < 0.06, "{view}: {few} from few, {gathered} from many");
     }
 }
 

@@ -251,7 +251,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
         identity.push("gather-smoothing", args.gather_smoothing);
     }
     if args.more_samples() > 0 {
-        identity.push("max-samples", args.max_samples);
+        identity.push("max-samples", args.samples + args.more_samples());
         identity.push("noise", args.noise);
     }
     for view in views {
@@ -508,7 +508,10 @@ impl Driver<'_> {
     fn put(&mut self, band: u32, records: &[PixelRecord]) -> Result<()> {
         let count = records.len() as u64;
         self.writer.append(ExtentKind::Film, band, count, records.as_bytes(), Codec::Raw)?;
-        Ok(self.writer.commit()?)
+        self.writer.commit()?;
+        // Rays that were parked have come home.
+        self.writer.release_consumed()?;
+        Ok(())
     }
 
     /// Makes a band: its pixels, and what gather rays say about them.
