@@ -646,10 +646,11 @@ impl Driver<'_> {
             let part = |p: &LightPairRecord| p.photons as f32 / p.emitted.max(1) as f32;
             let most = set.iter().map(part).fold(f32::MIN_POSITIVE, f32::max);
             // A light of which much arrives has its full importance; one that shines in through a door counts
-            // less, for it is hidden from most of the room, but never less than a tenth.
+            // less, for it is hidden from most of the room, but never less than a quarter: where it does shine it would be a
+            // grain otherwise.
             lights.extend(set.iter().map(|p| {
                 let share = (10.0 * part(p) / most).min(1.0);
-                (p.light, 0.1 + 0.9 * share)
+                (p.light, 0.25 + 0.75 * share)
             }));
         }
         if lights.iter().any(|l| l.0 as usize >= self.context.tables.lights().len()) {
