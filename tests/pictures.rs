@@ -26,6 +26,7 @@ fn render(store: &Path, dir: &Path, name: &str, view: &str, flags: &[&str]) -> L
 /// Everything but the pictures.
 fn light(scene: &Path, photons: &str, partition: &[&str]) -> PathBuf {
     let store = scene.with_extension("enf");
+    let _ = std::fs::remove_dir_all(&store);
     ok(bin("enf-partition").arg(scene).arg("-o").arg(&store).arg("--quiet").args(partition));
     ok(bin("enf-grid").arg(&store).arg("--quiet"));
     ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", photons]));
@@ -40,10 +41,9 @@ fn mean(picture: &Loaded, channel: &str) -> f64 {
 
 const GATHER: [&str; 2] = ["--indirect", "final-gather"];
 
-/// A closed box that glows and reflects alike everywhere: radiance is Le / (1 - rho), up into the corners, where a photon
-/// map alone is too dark.
+/// A closed box that glows and reflects alike everywhere: radiance is Le / (1 - rho), in one room and in many.
 #[test]
-fn a_furnace_is_even_up_to_its_corners() {
+fn a_furnace_is_even() {
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("furnace.toml");
     let mut model = Model::default();
@@ -51,28 +51,77 @@ fn a_furnace_is_even_up_to_its_corners() {
     model.material("glow");
     model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
     model.write(&dir.path().join("box.obj"), "newmtl glow\nKd 0.5 0.5 0.5\nKe 2 2 2\n");
-    // Into a corner, from near.
     std::fs::write(
         &scene,
-        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [3.5, 3.5, 3.5]\ntarget = [4, 4, 4]\nfov = 50\n",
+        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [2, 2, 2]\ntarget = [3.9, 2, 2]\nfov = 40\n",
     )
     .unwrap();
     for rooms in ["1", "8"] {
-        let store = light(&scene, "100k", &["--rooms", rooms, "--force"]);
-        let flags = ["--width", "40", "--height", "40", "--samples", "8", "--gather-rays", "16"];
-        let picture = render(&store, dir.path(), "g", "in", &[&GATHER[..], &flags[..]].concat());
-        let found = mean(&picture, "G");
-        // Half of the light is from the map, whose mean is that of 100,000 photons; the rest is exact or from 25,600 paths.
-        assert!((found - 4.0).abs() < 0.03 * 4.0, "{found} in {rooms} rooms");
-        let centre = 20 * 40 + 20;
-        let corner: f64 = [centre, centre - 1, centre - 40, centre - 41]
-            .iter()
-            .map(|&p| f64::from(picture.channel("G").unwrap()[p]) / 4.0)
-            .sum();
-        assert!((corner - 4.0).abs() < 0.1 * 4.0, "{corner} in the corner");
-        let plain = render(&store, dir.path(), "p", "in", &flags[..6]);
-        assert!(mean(&plain, "G") < found, "a photon map alone is darker in a corner");
+        let store = light(&scene, "400k", &["--rooms", rooms]);
+        let flags = ["--width", "40", "--height", "40", "--samples", "8", "--max-samples", "8"];
+        let gather = [&GATHER[..], &flags[..], &["--gather-rays", "16"]].concat();
+        let picture = render(&store, dir.path(), "g", "in", &gather);
+        // All but what the walls send out themselves, and that once reflected: rho (L - Le). Half of it is from the map,
+        // which is too dark within 0.1 m of edges, a tenth of the walls; the rest is from 25,600 paths.
+        let found = mean(&picture, "indirect.G");
+        assert!((found - 1.0).abs() < 0.03, "{found} in {rooms} rooms");
+        assert!((mean(&picture, "G") - 4.0).abs() < 0.05, "in {rooms} rooms");
     }
+}
+
+/// The foot of a wall that gets light from the floor before it alone: near the corner half of what it sees is floor, and most
+/// of that is nearer than the photon map's disc.
+#[test]
+fn a_corner_is_neither_dark_nor_bright() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("corner.toml");
+    let mut model = Model::default();
+    let lamp = 30.0;
+    model.object("floor");
+    model.material("floor");
+    model.quad([[0.0, -3.0, 0.0], [6.0, -3.0, 0.0], [6.0, 3.0, 0.0], [0.0, 3.0, 0.0]]);
+    model.object("wall");
+    model.material("wall");
+    model.quad([[0.0, -3.0, 0.0], [0.0, 3.0, 0.0], [0.0, 3.0, 3.0], [0.0, -3.0, 3.0]]);
+    model.write(
+        &dir.path().join("corner.obj"),
+        "newmtl floor\nKd 0.6 0.6 0.6\nnewmtl wall\nKd 0.02 0.02 0.02\n",
+    );
+    // The lamp is in the plane of the wall, and shines along it.
+    std::fs::write(
+        &scene,
+        format!(
+            "[[mesh]]\nfile = \"corner.obj\"\n[[light]]\nkind = \"point\"\nposition = [0.001, 0, {lamp}]\nwatts = 90000\n\
+             [[view]]\nname = \"foot\"\neye = [1, 0, 0.3]\ntarget = [0, 0, 0.06]\nfov = 3\nwidth = 32\nheight = 32\n"
+        ),
+    )
+    .unwrap();
+    let store = light(&scene, "1000k", &[]);
+    let flags = ["--samples", "4", "--max-samples", "4"];
+    let gather = [&GATHER[..], &flags[..], &["--gather-rays", "64"]].concat();
+    let found = mean(&render(&store, dir.path(), "g", "foot", &gather), "indirect.G");
+    let plain = mean(&render(&store, dir.path(), "p", "foot", &flags), "indirect.G");
+    // The integral over the floor, in steps that grow with the distance.
+    let (z, n) = (0.06, 600);
+    let mut received = 0.0;
+    let step =
+        |i: i32, end: f64| 1e-4 * ((1.0 + end / 1e-4).powf(f64::from(i) / f64::from(n)) - 1.0);
+    for i in 0..n {
+        let (x0, x1) = (step(i, 6.0), step(i + 1, 6.0));
+        for j in 0..n {
+            let (y0, y1) = (step(j, 3.0), step(j + 1, 3.0));
+            let (x, y) = (0.5 * (x0 + x1), 0.5 * (y0 + y1));
+            let far: f64 = x * x + y * y + lamp * lamp;
+            let near: f64 = x * x + y * y + z * z;
+            let lit = 90_000.0 / (4.0 * PI) * lamp / (far * far.sqrt());
+            received += 2.0 * lit * x * z / (PI * near * near) * (x1 - x0) * (y1 - y0);
+        }
+    }
+    let expected = received * 0.6 * 0.02 / PI;
+    // 65,536 rays of which half meet the floor: deviation 0.4 %. The picture shows 5 cm of the wall, over which the integral
+    // is straight to a per cent.
+    assert!((found / expected - 1.0).abs() < 0.03, "{found} for {expected}");
+    assert!(plain < 0.9 * expected, "a photon map alone is dark there: {plain} for {expected}");
 }
 
 /// A plate above a floor that a lamp far above lights: what its underside gets from the floor is an integral.
@@ -147,15 +196,14 @@ fn gathered_light_is_what_many_photons_say() {
         let many = mean(&render(&store, dir.path(), "m", view, &flags), "indirect.G");
         means.push((many, mean(&render(&store, dir.path(), "g", view, &gather), "indirect.G")));
     }
-    let store = light(&scene, "30k", &["--force"]);
+    let store = light(&scene, "30k", &[]);
     for (view, (many, gathered)) in ["door", "hall"].into_iter().zip(means) {
         let few = mean(&render(&store, dir.path(), "f", view, &gather), "indirect.G");
         // Edges and corners, of which there are many here, make the map some per cent too dark.
         assert!((gathered / many - 1.03).abs() < 0.05, "{view}: {gathered}, {many} by photons");
-        assert!(
-            (few / gathered - 1.0).abs() < 0.03,
-            "{view}: {few} from few, {gathered} from many"
-        );
+        // From afar the map still shows what its discs lose at edges: more, the wider they are.
+        let lost = few / gathered - 0.95;
+        assert!(lost.abs() < 0.06, "{view}: {few} from few, {gathered} from many");
     }
 }
 
@@ -183,7 +231,7 @@ fn the_same_bits() {
         ),
     ];
     for (i, (partition, later)) in variants.into_iter().enumerate() {
-        let store = light(&scene, "3k", &[partition, &["--force"]].concat());
+        let store = light(&scene, "3k", partition);
         let out = dir.path().join(format!("out-{i}"));
         ok(bin("enf-render")
             .arg(&store)

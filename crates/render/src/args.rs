@@ -127,9 +127,9 @@ pub struct RenderArgs {
     /// Camera rays per pixel
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub samples: u32,
-    /// Camera rays of a pixel at most: beyond --samples only where the first ones differ by more than --noise; as many or fewer turn that off
-    #[arg(long, value_name = "N", default_value_t = 24, value_parser = clap::value_parser!(u32).range(1..=65536))]
-    pub max_samples: u32,
+    /// Camera rays of a pixel at most: beyond --samples only where the first ones differ by more than --noise [default: three times --samples, from four on]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
+    pub max_samples: Option<u32>,
     /// Error of a pixel, of its brightness, up to which it gets no more camera rays
     #[arg(long, value_name = "SHARE", default_value_t = 0.1, value_parser = parse_positive)]
     pub noise: f32,
@@ -190,8 +190,14 @@ impl RenderArgs {
 
     /// Camera rays that a pixel may have beyond the first ones.
     pub(crate) fn more_samples(&self) -> u32 {
-        // Fewer cannot be told apart.
-        if self.samples < 2 { 0 } else { self.max_samples.saturating_sub(self.samples) }
+        let most = match self.max_samples {
+            Some(most) => most,
+            // Two or three say too little, and who asks for so few is in a hurry.
+            None if self.samples < 4 => 0,
+            None => self.samples.saturating_mul(3),
+        };
+        // One cannot be told from itself.
+        if self.samples < 2 { 0 } else { most.saturating_sub(self.samples) }
     }
 
     /// Views that must be in the scene, for they are asked for by name and are in no view file.

@@ -251,7 +251,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
         identity.push("gather-smoothing", args.gather_smoothing);
     }
     if args.more_samples() > 0 {
-        identity.push("max-samples", args.max_samples);
+        identity.push("max-samples", args.samples + args.more_samples());
         identity.push("noise", args.noise);
     }
     for view in views {
@@ -510,7 +510,10 @@ impl Driver<'_> {
     fn put(&mut self, band: u32, records: &[PixelRecord]) -> Result<()> {
         let count = records.len() as u64;
         self.writer.append(ExtentKind::Film, band, count, records.as_bytes(), Codec::Raw)?;
-        Ok(self.writer.commit()?)
+        self.writer.commit()?;
+        // Rays that were parked have come home.
+        self.writer.release_consumed()?;
+        Ok(())
     }
 
     /// Makes a band: its pixels, and what gather rays say about them.
@@ -645,10 +648,11 @@ impl Driver<'_> {
             let part = |p: &LightPairRecord| p.photons as f32 / p.emitted.max(1) as f32;
             let most = set.iter().map(part).fold(f32::MIN_POSITIVE, f32::max);
             // A light of which much arrives has its full importance; one that shines in through a door counts
-            // less, for it is hidden from most of the room, but never less than a tenth.
+            // less, for it is hidden from most of the room, but never less than a quarter: where it does shine it would be a
+            // grain otherwise.
             lights.extend(set.iter().map(|p| {
                 let share = (10.0 * part(p) / most).min(1.0);
-                (p.light, 0.1 + 0.9 * share)
+                (p.light, 0.25 + 0.75 * share)
             }));
         }
         if lights.iter().any(|l| l.0 as usize >= self.context.tables.lights().len()) {

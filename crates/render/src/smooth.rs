@@ -3,7 +3,7 @@
 //! Irradiance from other surfaces changes slowly, and the slower the farther away these are: over a distance `x` by about
 //! `x / R`, where `R` is the harmonic mean of the distances to what is around (Ward, Rubinstein and Clear 1988, "A Ray
 //! Tracing Solution for Diffuse Interreflection", the split-sphere model). Gather rays measure `R`. So a pixel
-//! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, two pixels
+//! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, three pixels
 //! in a corner. (A pixel that sees an edge takes that of the pixels next to it.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
 //! left alone.
 //!
@@ -21,7 +21,7 @@ use crate::{BAND_PIXELS, RenderArgs};
 /// Pixels to each side that are looked at.
 const REACH: u32 = 8;
 /// Pixels over which it is averaged in corners as well.
-const LEAST: u32 = 2;
+const LEAST: u32 = 3;
 /// Pixels to each side over which the distance to what is around is averaged.
 const NEAR_REACH: u32 = 2;
 /// Surroundings are as near up to this ratio ...
