@@ -82,7 +82,10 @@ fn main() {
         let build = || build_map(&photons, &mut blob, 1.0, [0, 1], threads);
         best = best.min(seconds(threads, build));
     }
-    println!("build_map       {n} photons, {threads} threads: {:.2} M photons/s", n as f64 / best / 1e6);
+    println!(
+        "build_map       {n} photons, {threads} threads: {:.2} M photons/s",
+        n as f64 / best / 1e6
+    );
     let map = PhotonMap::from_blob(&blob).expect("the map was just built");
     let mut queries = photons;
     queries.truncate(20_000);

@@ -14,7 +14,9 @@ use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_stage::ordered::{Continue, ordered};
 use enf_stage::session::{self, Announcer, Begin, Session};
 use enf_stage::tables::Tables;
-use enf_stage::{CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, say};
+use enf_stage::{
+    CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, interrupt, say,
+};
 use enf_store::{Array, Buffer, MemoryBudget, StageReader, StageWriter, StoreDir};
 use serde_json::Value;
 
@@ -216,7 +218,10 @@ impl Source<'_> {
             budget.available() >> 20,
             budget.limit() >> 20
         ))
-        .with_hint(format!("--memory {}M would do", ((photons * 66 + budget.reserved()) >> 20) + 16))
+        .with_hint(format!(
+            "--memory {}M would do",
+            ((photons * 66 + budget.reserved()) >> 20) + 16
+        ))
     }
 
     /// The map of a room whose photons fit into one piece; nothing if there are more.
@@ -284,6 +289,7 @@ impl Source<'_> {
             .unwrap_or(0);
         let mut first = 0;
         while first < ranges.len() {
+            interrupt::check()?;
             // The lists, and then one blob beside them; while they are filled, a block of photons.
             let free = self.budget.available().saturating_sub(block.max(1 << 20));
             let (mut end, mut bytes, mut largest) = (first, 0, 0);

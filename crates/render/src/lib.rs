@@ -56,6 +56,28 @@ pub enum Indirect {
     None,
 }
 
+/// How a photon's weight falls with its distance ([`Kernel`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum KernelArg {
+    /// Not at all, as in the paper: least noise.
+    #[default]
+    Constant,
+    /// In a straight line: sharpest.
+    Cone,
+    /// As a parabola.
+    Epanechnikov,
+}
+
+impl KernelArg {
+    fn kernel(self) -> (Kernel, &'static str) {
+        match self {
+            Self::Constant => (Kernel::Constant, "constant"),
+            Self::Cone => (Kernel::Cone, "cone"),
+            Self::Epanechnikov => (Kernel::Epanechnikov, "epanechnikov"),
+        }
+    }
+}
+
 /// What decides about the pictures.
 #[derive(Args, Clone, Debug)]
 #[command(next_help_heading = "Picture options")]
@@ -81,6 +103,9 @@ pub struct RenderArgs {
     /// Photons that irradiance is estimated from (k of the k nearest)
     #[arg(long, value_name = "N", default_value = "120", value_parser = parse_count)]
     pub gather_photons: u64,
+    /// How their weights fall with distance
+    #[arg(long, value_enum, default_value_t)]
+    pub kernel: KernelArg,
     /// Where indirect light comes from
     #[arg(long, value_enum, default_value_t)]
     pub indirect: Indirect,
@@ -284,6 +309,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
     identity.push("samples", args.samples);
     identity.push("light-samples", args.light_samples);
     identity.push("gather-photons", args.gather_photons);
+    identity.push("kernel", args.kernel.kernel().1);
     identity.push("indirect", if args.indirect == Indirect::None { "none" } else { "photon-map" });
     for view in views {
         identity.push(format!("view {}", view.name), format!("{:?}", view.camera));
@@ -369,7 +395,7 @@ fn render(
         gather: Gather {
             photons: args.gather_photons.clamp(2, 1 << 20) as u32,
             radius: f32::INFINITY,
-            kernel: Kernel::Constant,
+            kernel: args.kernel.kernel().0,
         },
         indirect: args.indirect != Indirect::None,
         power: &power,

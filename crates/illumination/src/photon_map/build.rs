@@ -301,12 +301,7 @@ struct Chunk<'a> {
     photons: usize,
 }
 
-fn finish_chunks(
-    blocks: &mut [MapBlock],
-    nodes: &mut [MapNode],
-    photons: usize,
-    threads: usize,
-) {
+fn finish_chunks(blocks: &mut [MapBlock], nodes: &mut [MapNode], photons: usize, threads: usize) {
     let chunks = blocks.chunks_mut(CHUNK_BLOCKS).zip(nodes.chunks_mut(CHUNK_NODES)).enumerate();
     let chunks = chunks.map(|(i, (blocks, nodes))| Chunk {
         blocks,
@@ -376,7 +371,8 @@ impl Task for Finish<'_> {
         for (i, (block, points)) in
             chunk.blocks.iter_mut().zip(points.chunks(BLOCK_PHOTONS)).enumerate()
         {
-            *block = MapBlock { position_bits: [[NO_PHOTON; BLOCK_PHOTONS]; 3], ..MapBlock::default() };
+            *block =
+                MapBlock { position_bits: [[NO_PHOTON; BLOCK_PHOTONS]; 3], ..MapBlock::default() };
             for (at, point) in points.iter().enumerate() {
                 block.set(at, &records[point[3] as usize]);
             }
@@ -487,9 +483,9 @@ fn order_block(points: &mut [Point], axis: usize, records: &[PhotonRecord]) {
     }
     if sum as usize != n {
         points.sort_unstable_by(|a, b| {
-            a[axis].cmp(&b[axis]).then_with(|| {
-                canonical_cmp(&records[a[3] as usize], &records[b[3] as usize])
-            })
+            a[axis]
+                .cmp(&b[axis])
+                .then_with(|| canonical_cmp(&records[a[3] as usize], &records[b[3] as usize]))
         });
         return;
     }

@@ -237,7 +237,8 @@ impl Filter for Facing<'_> {
         d2: &[f32; BLOCK_PHOTONS],
         mask: u32,
     ) -> u32 {
-        let counts = facing(block, &self.point.to_array(), &self.normal.to_array(), self.floor2, d2);
+        let counts =
+            facing(block, &self.point.to_array(), &self.normal.to_array(), self.floor2, d2);
         let mut mask = mask & level.nonzero16(&counts);
         let mut halo = mask;
         while halo != 0 {

@@ -406,7 +406,8 @@ mod tests {
         for cut in [4, 40, 100, 130, 200, good.len() - 64] {
             assert!(PhotonMap::from_blob(&good[..cut]).is_err(), "{cut}");
         }
-        let sound = MapHeader { photons: 40, halo: 1, radius: 0.5, piece: 0, pieces: 1, reserved: 0 };
+        let sound =
+            MapHeader { photons: 40, halo: 1, radius: 0.5, piece: 0, pieces: 1, reserved: 0 };
         let with_header = |header: MapHeader| {
             let mut blob = good.clone();
             blob[128..160].copy_from_slice(header.as_bytes());
@@ -417,12 +418,18 @@ mod tests {
         assert!(refused(&with_header(MapHeader { halo: 41, ..sound })).contains("41 halo photons"));
         assert!(refused(&with_header(MapHeader { radius: 0.0, ..sound })).contains("0 m wide"));
         assert!(refused(&with_header(MapHeader { radius: f32::NAN, ..sound })).contains("NaN m"));
-        assert!(refused(&with_header(MapHeader { piece: 1, pieces: 2, ..sound })).contains("piece 1 of 2"));
-        assert!(refused(&with_header(MapHeader { pieces: 2, ..sound })).contains("1 of its 2 pieces"));
+        assert!(
+            refused(&with_header(MapHeader { piece: 1, pieces: 2, ..sound }))
+                .contains("piece 1 of 2")
+        );
+        assert!(
+            refused(&with_header(MapHeader { pieces: 2, ..sound })).contains("1 of its 2 pieces")
+        );
         assert!(PhotonMap::from_pieces([]).is_err());
         assert!(PhotonMap::from_pieces([&good[..], &good[..]]).is_err());
         // Halo flags, empty places and boxes are only looked at by the slow check.
-        let slow = |blob: &[u8]| PhotonMap::from_blob(blob).unwrap().check().unwrap_err().to_string();
+        let slow =
+            |blob: &[u8]| PhotonMap::from_blob(blob).unwrap().check().unwrap_err().to_string();
         let said = slow(&with_header(MapHeader { halo: 0, ..sound }));
         assert!(said.contains("1 halo photons"), "{said}");
         let said = slow(&with_header(MapHeader { photons: 35, ..sound }));

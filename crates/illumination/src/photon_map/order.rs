@@ -29,9 +29,7 @@ pub(crate) fn canonical_cmp(a: &PhotonRecord, b: &PhotonRecord) -> Ordering {
 /// Like [`canonical_cmp`], blind to what a map adds to a record (halo): the order of the
 /// photons as they were stored, whichever map they are looked up in.
 pub(crate) fn stored_cmp(a: &PhotonRecord, b: &PhotonRecord) -> Ordering {
-    let stored = |p: &PhotonRecord| {
-        key(&PhotonRecord { flags: p.flags & !PHOTON_HALO, ..*p })
-    };
+    let stored = |p: &PhotonRecord| key(&PhotonRecord { flags: p.flags & !PHOTON_HALO, ..*p });
     stored(a).cmp(&stored(b))
 }
 

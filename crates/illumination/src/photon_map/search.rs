@@ -31,13 +31,7 @@ pub(super) struct Anything;
 
 impl Filter for Anything {
     #[inline(always)]
-    fn pass<L: Level>(
-        &mut self,
-        _: L,
-        _: &MapBlock,
-        _: &[f32; BLOCK_PHOTONS],
-        mask: u32,
-    ) -> u32 {
+    fn pass<L: Level>(&mut self, _: L, _: &MapBlock, _: &[f32; BLOCK_PHOTONS], mask: u32) -> u32 {
         mask
     }
 }
@@ -269,8 +263,7 @@ impl<F: Filter> Search<'_, F> {
     #[inline(always)]
     fn look<L: Level>(&mut self, level: L, mut bound: f32) {
         let Some(root) = self.map.root() else { return };
-        let mut next =
-            Waiting { d2: 0.0, piece: root.piece, level: root.level, index: 0 };
+        let mut next = Waiting { d2: 0.0, piece: root.piece, level: root.level, index: 0 };
         let mut depth = 0;
         let stack = &mut self.stack.waiting;
         loop {

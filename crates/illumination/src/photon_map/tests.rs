@@ -77,8 +77,8 @@ fn brute_force(
             Kernel::Epanechnikov => (1.0 - d * d / r / r, 0.5),
         };
         for (sum, flux) in rgb.iter_mut().zip(p.flux_w()) {
-            *sum +=
-                f64::from(flux) * f64::max(weight, 0.0) / (std::f64::consts::PI * r * r * volume * part);
+            *sum += f64::from(flux) * f64::max(weight, 0.0)
+                / (std::f64::consts::PI * r * r * volume * part);
         }
     }
     (rgb, number, radius)
@@ -266,7 +266,8 @@ fn nearest_is_brute_force_in_one_piece_or_many() {
         all.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.as_bytes().cmp(b.1.as_bytes())));
         let k = [1, 2, 7, 50, 100, 1000][i % 6];
         all.truncate(k);
-        for (map, scratch) in [&whole, &many].into_iter().flat_map(|m| (0..3).map(move |s| (m, s))) {
+        for (map, scratch) in [&whole, &many].into_iter().flat_map(|m| (0..3).map(move |s| (m, s)))
+        {
             let near = map.nearest(x, k as u32, 0.7, &mut scratches[scratch]);
             let mut found: Vec<_> = near.iter().map(|(n, d2)| (d2, map.photon(n))).collect();
             if found.len() == k {
@@ -362,7 +363,10 @@ fn edges_and_corners_are_not_dark() {
             }
             // One estimate varies by 0.15 at most, a mean by 0.008.
             for mean in means {
-                assert!(mean > limits.0 && mean < limits.1, "{away:?}, {naive} of a disc: {means:?}");
+                assert!(
+                    mean > limits.0 && mean < limits.1,
+                    "{away:?}, {naive} of a disc: {means:?}"
+                );
                 assert!((mean - 1.0).abs() < 0.5 * (1.0 - naive), "{away:?}: {means:?}");
             }
         }
