@@ -9,7 +9,9 @@ fn main() {
     println!("cargo::rerun-if-changed=src/nanoflann.cpp");
     let folder = std::env::var("NANOFLANN_INCLUDE").unwrap_or_else(|_| "/usr/include".into());
     if !Path::new(&folder).join("nanoflann.hpp").exists() {
-        println!("cargo::warning=no nanoflann.hpp in {folder}: set NANOFLANN_INCLUDE, or apt install libnanoflann-dev");
+        println!(
+            "cargo::warning=no nanoflann.hpp in {folder}: set NANOFLANN_INCLUDE, or apt install libnanoflann-dev"
+        );
         return;
     }
     let mut build = cc::Build::new();

@@ -60,13 +60,17 @@ struct Args {
 enum Failure {
     #[error(transparent)]
     Store(#[from] enf_store::StoreError),
-    #[error("room {room} has {found} photons, {wanted} are asked for: trace more, or see --photons")]
+    #[error(
+        "room {room} has {found} photons, {wanted} are asked for: trace more, or see --photons"
+    )]
     Few { room: u32, found: usize, wanted: usize },
     #[error("--photons, --queries, --nearest and --repetitions must not be 0")]
     Zero,
     #[error("kiddo does not build: {0}")]
     Kiddo(String),
-    #[error("{who} and {other} do not find the same: {a:?} and {b:?} (photons, sum of squared radii)")]
+    #[error(
+        "{who} and {other} do not find the same: {a:?} and {b:?} (photons, sum of squared radii)"
+    )]
     Unequal { who: &'static str, other: &'static str, a: (usize, f64), b: (usize, f64) },
     #[error("{path}: {error}")]
     Output { path: PathBuf, error: std::io::Error },
@@ -266,13 +270,7 @@ fn agree(answers: &[(&'static str, Found)]) -> Result<(), Failure> {
     Ok(())
 }
 
-fn report(
-    args: &Args,
-    n: usize,
-    radii: &BTreeMap<usize, f32>,
-    series: &Series,
-    csv: &mut String,
-) {
+fn report(args: &Args, n: usize, radii: &BTreeMap<usize, f32>, series: &Series, csv: &mut String) {
     let radii: Vec<String> = radii.iter().map(|(k, r)| format!("{k} within {r:.3} m")).collect();
     say(&format!("\n{n} photons ({}); medians of CPU time, one thread", radii.join(", ")));
     say(&format!("{:<26}{:<16}{:>14}{:>14}{:>10}", "", "", "CPU", "wall", "ours/this"));
@@ -288,7 +286,9 @@ fn report(
         let ours = of("ours", |s| s.cpu).unwrap_or(f64::NAN);
         let mut best = f64::INFINITY;
         for who in ["ours", "ours, sorting", "kiddo", "nabo", "nanoflann"] {
-            let (Some(cpu), Some(wall)) = (of(who, |s| s.cpu), of(who, |s| s.wall)) else { continue };
+            let (Some(cpu), Some(wall)) = (of(who, |s| s.cpu), of(who, |s| s.wall)) else {
+                continue;
+            };
             if !who.starts_with("ours") {
                 best = best.min(cpu);
             }

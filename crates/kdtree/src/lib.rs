@@ -14,7 +14,9 @@ use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_stage::ordered::{Continue, ordered};
 use enf_stage::session::{self, Announcer, Begin, Session};
 use enf_stage::tables::Tables;
-use enf_stage::{CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, say};
+use enf_stage::{
+    CommonArgs, Failure, IdSink, IdSource, Progress, Result, Selection, interrupt, say,
+};
 use enf_store::{Array, Buffer, MemoryBudget, StageReader, StageWriter, StoreDir};
 use serde_json::Value;
 
@@ -287,6 +289,7 @@ impl Source<'_> {
             .unwrap_or(0);
         let mut first = 0;
         while first < ranges.len() {
+            interrupt::check()?;
             // The lists, and then one blob beside them; while they are filled, a block of photons.
             let free = self.budget.available().saturating_sub(block.max(1 << 20));
             let (mut end, mut bytes, mut largest) = (first, 0, 0);

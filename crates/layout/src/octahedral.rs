@@ -9,6 +9,7 @@ fn sign(x: f32) -> f32 {
 }
 
 /// The 24-bit code of a unit vector (angular error below 0.1 degree).
+#[inline]
 pub fn encode(v: [f32; 3]) -> u32 {
     let sum = v[0].abs() + v[1].abs() + v[2].abs();
     let (mut x, mut y) = (v[0] / sum, v[1] / sum);

@@ -4,6 +4,7 @@
 //! mantissa is rounded up with probability equal to its fraction, so the mean is exact.
 
 /// Encodes a non-negative RGB; `dither` are three numbers in `[0, 1)` from the photon's own counter.
+#[inline]
 pub fn encode(rgb: [f32; 3], dither: [f32; 3]) -> [u8; 4] {
     let largest = rgb[0].max(rgb[1]).max(rgb[2]);
     if largest.is_nan() || largest <= 1e-37 {

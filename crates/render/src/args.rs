@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
+use enf_illumination::Kernel;
 use enf_image::Tone;
 use enf_scene::{Camera, Projection};
 use enf_stage::{CommonArgs, Failure, Result, parse_count};
@@ -12,6 +13,29 @@ use crate::camera;
 
 /// Rays that the rays of one job may send off.
 const JOB_RAYS: u64 = 8192;
+
+/// How a photon's weight falls with its distance ([`Kernel`]).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum KernelArg {
+    /// Not at all, as in the paper: least noise.
+    #[default]
+    Constant,
+    /// In a straight line: sharpest.
+    Cone,
+    /// As a parabola.
+    Epanechnikov,
+}
+
+impl KernelArg {
+    /// The kernel, and its name.
+    pub(crate) fn kernel(self) -> (Kernel, &'static str) {
+        match self {
+            Self::Constant => (Kernel::Constant, "constant"),
+            Self::Cone => (Kernel::Cone, "cone"),
+            Self::Epanechnikov => (Kernel::Epanechnikov, "epanechnikov"),
+        }
+    }
+}
 
 /// Where indirect light comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
@@ -139,6 +163,9 @@ pub struct RenderArgs {
     /// Photons that irradiance is estimated from (k of the k nearest)
     #[arg(long, value_name = "N", default_value = "120", value_parser = parse_count)]
     pub gather_photons: u64,
+    /// How their weights fall with distance
+    #[arg(long, value_enum, default_value_t)]
+    pub kernel: KernelArg,
     /// Where indirect light comes from
     #[arg(long, value_enum, default_value_t)]
     pub indirect: Indirect,

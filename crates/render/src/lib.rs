@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use crossbeam::channel::{Receiver, Sender, bounded, unbounded};
-use enf_illumination::{Gather, IrradianceCache, Kernel, PhotonMap};
+use enf_illumination::{Gather, IrradianceCache, PhotonMap};
 use enf_image::{Film, Gathered};
 use enf_layout::film::PixelRecord;
 use enf_layout::journal::LightPairRecord;
@@ -240,6 +240,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
     identity.push("samples", args.samples);
     identity.push("light-samples", args.light_samples);
     identity.push("gather-photons", args.gather_photons);
+    identity.push("kernel", args.kernel.kernel().1);
     let indirect = match args.indirect {
         Indirect::PhotonMap => "photon-map",
         Indirect::FinalGather => "final-gather",
@@ -339,7 +340,7 @@ fn render(
         gather: Gather {
             photons: args.gather_photons.clamp(2, 1 << 20) as u32,
             radius: f32::INFINITY,
-            kernel: Kernel::Constant,
+            kernel: args.kernel.kernel().0,
         },
         indirect: args.indirect,
         gather_rays: args.gather_rays,

@@ -171,12 +171,14 @@ impl<'a> Bsp<'a> {
         Ok(Self { planes, nodes, leaves, faces, delta })
     }
 
+    #[inline]
     fn root(&self) -> u32 {
         if self.nodes.is_empty() { LEAF } else { 0 }
     }
 
     /// The leaf a point belongs to, canonically: on every plane, exactly on it counts as front.
     /// What is attributed to rooms uses this.
+    #[inline]
     pub fn locate(&self, point: DVec3) -> u32 {
         let mut at = self.root();
         while at & LEAF == 0 {
@@ -189,12 +191,14 @@ impl<'a> Bsp<'a> {
 
     /// The leaf in which a ray from `point` along `direction` starts: the side the direction points
     /// to of every plane within δ of the point (parallel counts as front).
+    #[inline]
     pub fn locate_towards(&self, point: DVec3, direction: DVec3) -> u32 {
         self.descend(self.root(), point, direction, 0.0)
     }
 
     /// Whether a hit at `t` of a ray that is in `leaf` belongs to this leaf: what `t < exit(..).t_accept` asks, without a division.
     /// It may say no where that says yes, to rounding.
+    #[inline]
     pub fn accepts(&self, leaf: u32, origin: DVec3, direction: DVec3, t: f32) -> bool {
         let t = f64::from(t);
         self.outward(leaf).all(|(n, offset)| {
@@ -210,6 +214,7 @@ impl<'a> Bsp<'a> {
     /// faces, linear programming gives weights `w_i >= 0` with `n = sum w_i a_i`, so `sum w_i >= 1`; a point that is `s` inside of
     /// each face is at least `s` inside of the dropped one. If it is near the dropped plane it is near all faces of large
     /// weight, and `direction`, which leads clearly away from those, leads away from that plane.
+    #[inline]
     pub fn keeps(&self, leaf: u32, point: DVec3, direction: DVec3) -> bool {
         let (clearly, far) = (-self.delta / 16.0, -16.0 * self.delta);
         self.outward(leaf).all(|(n, offset)| {
@@ -219,6 +224,7 @@ impl<'a> Bsp<'a> {
     }
 
     /// The outward half-spaces of a leaf: unit normal and offset.
+    #[inline]
     fn outward(&self, leaf: u32) -> impl Iterator<Item = (DVec3, f64)> {
         let leaf = &self.leaves[leaf as usize];
         let first = leaf.first_face as usize;
@@ -231,6 +237,7 @@ impl<'a> Bsp<'a> {
     /// Where the ray `origin + t direction` that entered `leaf` at `t_in` leaves it.
     ///
     /// `leaf` must be below the number of leaves. Among faces met at the same `t` the first counts.
+    #[inline]
     pub fn exit(&self, leaf: u32, origin: DVec3, direction: DVec3, t_in: f32) -> Exit {
         let leaf = &self.leaves[leaf as usize];
         let first = leaf.first_face;
@@ -256,11 +263,13 @@ impl<'a> Bsp<'a> {
 
     /// The leaf entered by a ray that leaves its leaf through `face` at `t`; `None` when it has left
     /// the scene.
+    #[inline]
     pub fn cross(&self, face: u32, origin: DVec3, direction: DVec3, t: f32) -> Option<u32> {
         let beyond = self.faces.get(face as usize)?.beyond;
         (beyond != NONE).then(|| self.descend(beyond, origin, direction, f64::from(t)))
     }
 
+    #[inline]
     fn descend(&self, mut at: u32, origin: DVec3, direction: DVec3, t: f64) -> u32 {
         while at & LEAF == 0 {
             let node = &self.nodes[at as usize];
@@ -279,6 +288,7 @@ impl<'a> Bsp<'a> {
         at & !LEAF
     }
 
+    #[inline]
     fn plane(&self, index: u32) -> (DVec3, f64) {
         let plane = &self.planes[index as usize];
         (DVec3::from_array(plane.normal), plane.offset)

@@ -3,6 +3,7 @@
 use glam::Vec3;
 
 /// Two unit vectors that make a right-handed frame with the unit vector `n` (Duff et al. 2017, JCGT 6(1)).
+#[inline]
 pub fn frame(n: Vec3) -> (Vec3, Vec3) {
     let sign = if n.z >= 0.0 { 1.0f32 } else { -1.0 };
     let a = -1.0 / (sign + n.z);
@@ -14,6 +15,7 @@ pub fn frame(n: Vec3) -> (Vec3, Vec3) {
 }
 
 /// A direction about `n` with density cos(theta)/pi, from two uniform numbers.
+#[inline]
 pub fn cosine(n: Vec3, u1: f32, u2: f32) -> Vec3 {
     let radius = u1.sqrt();
     let (sin, cos) = libm::sincosf(core::f32::consts::TAU * u2);
@@ -43,6 +45,7 @@ pub fn fraction(bits: u32) -> f32 {
 }
 
 /// Luminous weight of linear Rec.709: 0.2126 R + 0.7152 G + 0.0722 B.
+#[inline]
 pub fn luminance(rgb: Vec3) -> f32 {
     0.2126 * rgb.x + 0.7152 * rgb.y + 0.0722 * rgb.z
 }

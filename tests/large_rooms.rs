@@ -1,0 +1,44 @@
+//! A room with more photons than a piece of a map has: built in a small budget, the same bytes in any.
+
+mod common;
+
+use common::{bin, copy_store, digest, furnished, json, number, ok};
+
+/// 3 lamps of 220,000 photons make some 800,000 indirect ones: two pieces at least.
+#[test]
+fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnished(dir.path());
+    let store = dir.path().join("b.enf");
+    ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(["--rooms", "1", "--quiet"]));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "220k"]));
+    let mut digests = Vec::new();
+    let mut pictures = Vec::new();
+    for (memory, threads) in [("56M", "1"), ("64M", "2"), ("1G", "2")] {
+        let stats = dir.path().join("stats.json");
+        let traced = &store;
+        let store = dir.path().join(format!("{memory}.enf"));
+        copy_store(traced, &store, &[]);
+        ok(bin("enf-kdtree")
+            .arg(&store)
+            .args(["--quiet", "--memory", memory, "--threads", threads, "--stats"])
+            .arg(&stats));
+        let stats = json(&stats);
+        let photons = number(&stats, "map_photons");
+        assert!(photons > 600_000.0, "{photons} photons are one piece");
+        let peak = number(&stats, "memory.peak_resident_bytes");
+        let budget = number(&stats, "memory.budget_bytes");
+        assert!(peak <= budget, "{peak} of {budget} bytes");
+        digests.push(digest(&store, "maps"));
+        let picture = dir.path().join(format!("{memory}.hdr"));
+        ok(bin("enf-render")
+            .arg(&store)
+            .args(["--view", "door", "--width", "64", "--height", "40", "--samples", "1"])
+            .args(["--quiet", "--memory", "128M", "--threads", threads, "-o"])
+            .arg(&picture));
+        pictures.push(std::fs::read(&picture).unwrap());
+    }
+    assert!(digests.iter().all(|d| *d == digests[0]), "{digests:?}");
+    assert!(pictures.iter().all(|p| *p == pictures[0]), "another picture");
+}
