@@ -3,15 +3,13 @@
 mod common;
 
 use common::{
-    bin, bin_path, copy_store, counts, digest, fails, files_of, furnished, ids, ok, room_count,
-    stderr,
+    PICTURE, bin, bin_path, copy_store, counts, digest, fails, files_of, furnished, ids, ok,
+    room_count, stderr,
 };
 use rustix::process::{Pid, Signal, kill_process};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-
-const PICTURE: [&str; 8] = ["--view", "door", "--width", "32", "--height", "24", "--samples", "2"];
 
 /// Partitioned and with grids.
 fn grids(dir: &Path) -> PathBuf {

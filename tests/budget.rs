@@ -3,7 +3,9 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, digest, fails, furnished, json, number, ok, stderr};
+use common::{
+    PICTURE, bin, bin_path, copy_store, digest, fails, furnished, json, number, ok, stderr,
+};
 use std::path::Path;
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
@@ -192,16 +194,8 @@ fn refusals_lead_to_a_budget_that_works() {
             .arg(&scene)
             .arg("-o")
             .arg(&out)
-            .args([
-                "--photons-per-light",
-                "1k",
-                "--view",
-                "door",
-                "--width",
-                "32",
-                "--height",
-                "24",
-            ])
+            .args(["--photons-per-light", "1k"])
+            .args(PICTURE)
             .args(["--memory", &memory])
             .output()
             .unwrap();

@@ -9,8 +9,8 @@ mod common;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
-use common::{Model, bin, digest, fails, json, number, ok, photons};
-use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
+use common::{Model, bin, digest, fails, json, number, ok, photons, traced, watts};
+use enf_layout::photon::PHOTON_DIRECT;
 use serde_json::Value;
 
 const PHOTONS: f64 = 400_000.0;
@@ -55,11 +55,6 @@ fn run(scene: &Path, out: &Path) -> Value {
     json(&out.join("stats.json"))
 }
 
-fn luminance(photon: &PhotonRecord) -> f64 {
-    let [r, g, b] = photon.flux_w().map(f64::from);
-    0.2126 * r + 0.7152 * g + 0.0722 * b
-}
-
 /// Holds the floor's direct light, by photons and by shadow rays, against `lux`.
 fn compare(name: &str, out: &Path, lumens: f64, lux: impl Fn(f64, f64) -> f64) {
     // Photons in cells of 0.8 m, against E by the midpoint rule.
@@ -69,7 +64,7 @@ fn compare(name: &str, out: &Path, lumens: f64, lux: impl Fn(f64, f64) -> f64) {
         let [x, y, z] = photon.position().map(f64::from);
         if (z - 0.001).abs() < 1e-4 {
             let cell = |v: f64| (((v + 4.0) / 0.8) as usize).min(9);
-            found[cell(y)][cell(x)] += 179.0 * luminance(photon);
+            found[cell(y)][cell(x)] += 179.0 * watts(photon);
         }
     }
     for (j, row) in found.iter().enumerate() {
@@ -265,14 +260,7 @@ fn photons_by_power() {
         light("weak", -3.0, 10.0) + &light("middle", 0.3, 300.0) + &light("strong", 3.0, 690.0);
     let scene = room(dir.path(), &lights);
     let store = dir.path().join("a.enf");
-    let trace = |store: &Path, partition: &[&str], more: &[&str]| {
-        ok(bin("enf-partition").arg(&scene).arg("-o").arg(store).arg("--quiet").args(partition));
-        ok(bin("enf-grid").arg(store).arg("--quiet"));
-        let report = store.with_extension("json");
-        ok(bin("enf-trace").arg(store).arg("--quiet").args(more).arg("--stats").arg(&report));
-        json(&report)
-    };
-    let stats = trace(&store, &[], &["--photons", "1200k"]);
+    let stats = traced(&scene, &store, &[], &["--photons", "1200k"]);
     assert_eq!(number(&stats, "photons_emitted"), 1_200_000.0);
     assert_eq!(number(&stats, "photons_absorbed") + number(&stats, "photons_escaped"), 1_200_000.0);
     assert!((number(&stats, "flux_emitted_w") * 179.0 - 1000.0).abs() < 0.01);
@@ -281,7 +269,7 @@ fn photons_by_power() {
     let direct: Vec<_> = all.iter().filter(|p| p.flags & PHOTON_DIRECT != 0).collect();
     assert_eq!(direct.len(), 1_200_000);
     for photon in direct {
-        let lumens = 179.0 * luminance(photon);
+        let lumens = 179.0 * watts(photon);
         assert!((lumens / each - 1.0).abs() < 0.01, "{lumens} lm for {each}");
     }
     let expected = digest(&store, "photons");
@@ -290,7 +278,7 @@ fn photons_by_power() {
         let other = dir.path().join(format!("{i}.enf"));
         let more =
             ["--photons", "1200000", "--threads", "1", "--queue-rows", "2", "--queue-block", "100"];
-        trace(&other, partition, &more);
+        traced(&scene, &other, partition, &more);
         assert_eq!(digest(&other, "photons"), expected, "{partition:?}");
     }
     // The same again is done; other numbers are another run.

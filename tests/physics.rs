@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{Model, bin, json, number, ok, photons};
+use common::{Model, bin, number, ok, photons, traced, watts};
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
 use std::f64::consts::PI;
 use std::path::Path;
@@ -17,14 +17,7 @@ fn trace(
     photons_per_light: &str,
     partition: &[&str],
 ) -> serde_json::Value {
-    let stats = store.with_extension("json");
-    ok(bin("enf-partition").arg(scene).arg("-o").arg(store).arg("--quiet").args(partition));
-    ok(bin("enf-grid").arg(store).arg("--quiet"));
-    ok(bin("enf-trace")
-        .arg(store)
-        .args(["--quiet", "--photons-per-light", photons_per_light, "--stats"])
-        .arg(&stats));
-    json(&stats)
+    traced(scene, store, partition, &["--photons-per-light", photons_per_light])
 }
 
 fn luminance(rgb: [f32; 3]) -> f64 {
@@ -32,7 +25,7 @@ fn luminance(rgb: [f32; 3]) -> f64 {
 }
 
 fn flux(photons: &[PhotonRecord], mut keep: impl FnMut(&PhotonRecord) -> bool) -> f64 {
-    photons.iter().filter(|p| keep(p)).map(|p| luminance(p.flux_w())).sum()
+    photons.iter().filter(|p| keep(p)).map(watts).sum()
 }
 
 /// A closed box that glows and reflects everywhere alike: L = Le / (1 - rho), in one room or in many.

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{bin, bin_path, copy_store, counts, digest, fails, furnished, ok, stdout};
+use common::{PICTURE, bin, bin_path, copy_store, counts, digest, fails, furnished, ok, stdout};
 use std::io::{BufRead, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -50,21 +50,7 @@ fn outcome(store: &Path) -> (String, [u64; 4], Vec<u8>) {
     assert_eq!(counts[0], counts[1] + counts[2]);
     ok(bin("enf-kdtree").arg(store).arg("--quiet"));
     let picture = store.with_extension("png");
-    ok(bin("enf-render")
-        .arg(store)
-        .args([
-            "--view",
-            "door",
-            "--width",
-            "32",
-            "--height",
-            "24",
-            "--samples",
-            "2",
-            "--quiet",
-            "-o",
-        ])
-        .arg(&picture));
+    ok(bin("enf-render").arg(store).args(PICTURE).args(["--quiet", "-o"]).arg(&picture));
     (digest(store, "photons"), counts, std::fs::read(picture).unwrap())
 }
 

@@ -46,6 +46,10 @@ pub fn shell(dir: &Path, script: &str) -> Command {
 pub const STAGES: [&str; 5] =
     ["enf-partition", "enf-grid", "enf-trace", "enf-kdtree", "enf-render"];
 
+/// A small picture of [`furnished`].
+pub const PICTURE: [&str; 8] =
+    ["--view", "door", "--width", "32", "--height", "24", "--samples", "2"];
+
 /// The first word of a stage's files in a store.
 pub fn stage_name(binary: &str) -> &str {
     binary.trim_start_matches("enf-")
