@@ -147,7 +147,6 @@ impl IrradianceCache {
     }
 
     /// Irradiance at a place, and the radius of the disc that it comes from.
-
     fn at(
         &self,
         map: &PhotonMap<'_>,
