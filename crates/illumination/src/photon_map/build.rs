@@ -4,6 +4,7 @@
 //! processor's nearest memory; there a kd-tree's medians do the rest. A photon's place is decided by coordinates, then
 //! by canonical order, and that order is total up to identical records: where it lies is a property of the
 //! multiset, and has nothing to do with the order of arrival or with threads.
+#![expect(clippy::needless_range_loop, reason = "several arrays, axis by axis")]
 
 use std::cmp::Ordering;
 use std::sync::{Mutex, PoisonError};
@@ -17,7 +18,7 @@ use super::map::open_blob;
 use super::order::canonical_cmp;
 
 /// Photons of a chunk.
-const CHUNK: usize = 2048;
+const CHUNK: usize = 1024;
 /// Blocks of a chunk.
 const CHUNK_BLOCKS: usize = CHUNK / BLOCK_PHOTONS;
 /// Nodes about the blocks of a chunk.
@@ -361,8 +362,9 @@ impl Task for Finish<'_> {
         let Self { bench: Bench { records, points }, chunk } = self;
         records.clear();
         points.clear();
-        let stored = chunk.blocks.as_bytes().chunks_exact(size_of::<PhotonRecord>());
-        records.extend(stored.take(chunk.photons).flat_map(PhotonRecord::read_from_bytes));
+        if let Ok(stored) = <[PhotonRecord]>::ref_from_bytes(chunk.blocks.as_bytes()) {
+            records.extend_from_slice(&stored[..chunk.photons]);
+        }
         points.extend(records.iter().enumerate().map(|(i, p)| {
             let [x, y, z] = p.position_bits;
             [ordered(x), ordered(y), ordered(z), i as u32]
@@ -433,7 +435,7 @@ fn divide(points: &mut [Point], records: &[PhotonRecord]) {
             continue;
         }
         let left = count_blocks(part.len()).next_power_of_two() / 2 * BLOCK_PHOTONS;
-        part.select_nth_unstable_by_key(left, |p| key(p, axis));
+        select(part, left, axis);
         let median = part[left][axis];
         about = extent(&part[..left]);
         if about[1][axis] == median {
@@ -445,6 +447,41 @@ fn divide(points: &mut [Point], records: &[PhotonRecord]) {
         end = first + left;
     }
 }
+
+/// Moves the point that is number `at` along an axis to its place, lower ones before it and higher ones behind it.
+///
+/// As Floyd and Rivest 1975 ("Expected time bounds for selection"), a sample tells two points between which it
+/// probably is: most of the points are looked at once, and half of them twice.
+#[inline(always)]
+fn select(points: &mut [Point], at: usize, axis: usize) {
+    let (mut low, mut high) = (0, points.len());
+    let mut above = true;
+    while high - low > 3 * SAMPLE {
+        let mut sample = [0u64; SAMPLE];
+        let step = (high - low) / SAMPLE;
+        for (i, s) in sample.iter_mut().enumerate() {
+            *s = key(&points[low + i * step], axis);
+        }
+        sample.sort_unstable();
+        let place = (at - low) * SAMPLE / (high - low);
+        let place = if above { place + 3 } else { place.saturating_sub(3) };
+        let pivot = sample[place.clamp(1, SAMPLE - 1)];
+        above = !above;
+        let mut middle = low;
+        for i in low..high {
+            let point = points[i];
+            points[i] = points[middle];
+            points[middle] = point;
+            middle += usize::from(key(&point, axis) < pivot);
+        }
+        // Neither part is empty: the pivot is not below itself, and the sample's first is.
+        if at < middle { high = middle } else { low = middle }
+    }
+    points[low..high].select_nth_unstable_by_key(at - low, |p| key(p, axis));
+}
+
+/// Points of a sample.
+const SAMPLE: usize = 32;
 
 /// Points that have the median's coordinate go to the left part in the canonical order of their photons.
 #[cold]
