@@ -418,7 +418,7 @@ fn key(point: &Point, axis: usize) -> u64 {
 /// Orders points block by block.
 #[inline(always)]
 fn divide(points: &mut [Point], records: &[PhotonRecord]) {
-    // Ranges that wait, with the extent of their points: 11 halvings of a chunk leave a block.
+    // Ranges that wait, with the extent of their points: 6 halvings of a chunk leave a block.
     let mut waiting = [(0usize, 0usize, [[0; 4]; 2]); 12];
     let mut depth = 0;
     let (mut first, mut end, mut about) = (0, points.len(), extent(points));
@@ -435,7 +435,7 @@ fn divide(points: &mut [Point], records: &[PhotonRecord]) {
             continue;
         }
         let left = count_blocks(part.len()).next_power_of_two() / 2 * BLOCK_PHOTONS;
-        select(part, left, axis);
+        part.select_nth_unstable_by_key(left, |p| key(p, axis));
         let median = part[left][axis];
         about = extent(&part[..left]);
         if about[1][axis] == median {
@@ -447,41 +447,6 @@ fn divide(points: &mut [Point], records: &[PhotonRecord]) {
         end = first + left;
     }
 }
-
-/// Moves the point that is number `at` along an axis to its place, lower ones before it and higher ones behind it.
-///
-/// As Floyd and Rivest 1975 ("Expected time bounds for selection"), a sample tells two points between which it
-/// probably is: most of the points are looked at once, and half of them twice.
-#[inline(always)]
-fn select(points: &mut [Point], at: usize, axis: usize) {
-    let (mut low, mut high) = (0, points.len());
-    let mut above = true;
-    while high - low > 3 * SAMPLE {
-        let mut sample = [0u64; SAMPLE];
-        let step = (high - low) / SAMPLE;
-        for (i, s) in sample.iter_mut().enumerate() {
-            *s = key(&points[low + i * step], axis);
-        }
-        sample.sort_unstable();
-        let place = (at - low) * SAMPLE / (high - low);
-        let place = if above { place + 3 } else { place.saturating_sub(3) };
-        let pivot = sample[place.clamp(1, SAMPLE - 1)];
-        above = !above;
-        let mut middle = low;
-        for i in low..high {
-            let point = points[i];
-            points[i] = points[middle];
-            points[middle] = point;
-            middle += usize::from(key(&point, axis) < pivot);
-        }
-        // Neither part is empty: the pivot is not below itself, and the sample's first is.
-        if at < middle { high = middle } else { low = middle }
-    }
-    points[low..high].select_nth_unstable_by_key(at - low, |p| key(p, axis));
-}
-
-/// Points of a sample.
-const SAMPLE: usize = 32;
 
 /// Points that have the median's coordinate go to the left part in the canonical order of their photons.
 #[cold]
