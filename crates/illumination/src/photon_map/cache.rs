@@ -74,7 +74,7 @@ impl IrradianceCache {
         let mut trees = [0; 7];
         for bin in 0..6 {
             let first = places.len();
-            for (i, photon) in map.photons().filter(|(i, _)| *i as usize % STRIDE == 0) {
+            for (i, photon) in map.photons().step_by(STRIDE) {
                 let [.., n0, n1, n2] = photon.directions;
                 if photon.flags & PHOTON_HALO == 0 && bin_of(direction(n0, n1, n2)) == bin {
                     places.push(Place {

@@ -3,6 +3,7 @@
 //! The arithmetic is written once, in plain loops over arrays that the compiler turns into vectors inside
 //! [`Instructions::run`]; nothing is fused, so that every set of instructions finds the same bits. Only what a
 //! compiler is bad at, masks, is spelled out.
+#![expect(clippy::needless_range_loop, reason = "several arrays, lane by lane")]
 
 use enf_layout::map::{BLOCK_PHOTONS, MapBlock, MapNode, NODE_CHILDREN};
 use pulp::NullaryFnOnce;

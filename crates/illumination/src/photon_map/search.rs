@@ -244,6 +244,9 @@ impl<F: Filter> Task for Search<'_, F> {
         let mut bound = radius2.min(self.guess2);
         loop {
             self.notes.begin(self.k, self.map.places());
+            if self.k == 0 {
+                return;
+            }
             self.look(level, bound);
             if self.notes.len >= self.k || bound >= radius2 {
                 break;
