@@ -41,7 +41,7 @@ else
     one "$here/fixtures/scenes/box.toml" box 256 192 2M 128
     one "$here/fixtures/scenes/two-rooms.toml" west 256 192 2M 128
     one "$here/fixtures/scenes/two-rooms.toml" east 256 192 2M 512
-    "$bin/enfilade" building l-shape --floors 1 -o "$out/l-shape.toml" 2>/dev/null
+    "$bin/enfilade" building l-shape --floors 1 -o "$out/l-shape.toml"
     sed '/^name = "glass.pane"/,/^ni = /s/^ni = .*/ni = 1.0/' "$out/l-shape.toml" >"$out/l-plain.toml"
     one "$out/l-plain.toml" library 256 160 500k 256
 fi
