@@ -71,6 +71,9 @@ impl Light {
     }
 }
 
+/// What triangles of a group share: material, light or [`NONE`], and whether they lie on a picture.
+pub(crate) type Key = (u32, u32, bool);
+
 /// A whole building.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Building {
@@ -275,11 +278,10 @@ impl Building {
         all
     }
 
-    /// Triangles in groups that share a material, a light, and whether they lie on a picture: (material, light or
-    /// [`NONE`], on a picture), ascending.
-    pub(crate) fn groups(&self) -> Vec<((u32, u32, bool), Vec<&Triangle>)> {
+    /// Triangles in groups that share a key, ascending.
+    pub(crate) fn groups(&self) -> Vec<(Key, Vec<&Triangle>)> {
         let emitting = self.emitting();
-        let mut keyed: Vec<((u32, u32, bool), &Triangle)> = (self.triangles.iter())
+        let mut keyed: Vec<(Key, &Triangle)> = (self.triangles.iter())
             .map(|t| {
                 let at = emitting.binary_search_by_key(&t.index, |e| e.0);
                 let light = at.map_or(NONE, |at| emitting[at].1);
