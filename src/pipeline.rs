@@ -66,6 +66,8 @@ pub(crate) fn demo(args: &DemoArgs) -> Result<()> {
     let mut stages = args.stages.clone();
     if stages.trace.photons.is_none() {
         stages.trace.photons_per_light.get_or_insert(DEMO_PHOTONS);
+        // A first look should be quick.
+        stages.render.max_samples.get_or_insert(stages.render.samples);
     }
     if stages.render.view.is_empty() && stages.render.views.is_none() {
         stages.render.view.push("all".into());

@@ -151,7 +151,7 @@ pub struct RenderArgs {
     /// Camera rays per pixel
     #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub samples: u32,
-    /// Camera rays of a pixel at most: beyond --samples only where the first ones differ by more than --noise [default: three times --samples, from four on]
+    /// Camera rays of a pixel at most: beyond --samples only where the first ones differ by more than --noise [default: three times --samples, from four on; demo: none]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=65536))]
     pub max_samples: Option<u32>,
     /// Error of a pixel, of its brightness, up to which it gets no more camera rays
