@@ -5,7 +5,7 @@
 
 mod common;
 
-use common::{Model, bin, number, ok, photons, traced, watts};
+use common::{Model, bin, furnace, number, ok, photons, traced, watts};
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
 use std::f64::consts::PI;
 use std::path::Path;
@@ -30,7 +30,7 @@ fn flux(photons: &[PhotonRecord], mut keep: impl FnMut(&PhotonRecord) -> bool) -
 
 /// A closed box that glows and reflects everywhere alike: L = Le / (1 - rho), in one room or in many.
 #[test]
-fn furnace() {
+fn a_furnace_keeps_its_radiance() {
     let dir = tempfile::tempdir().unwrap();
     let scene = dir.path().join("furnace.obj");
     let mut model = Model::default();
@@ -158,17 +158,7 @@ fn flux_ledger() {
 #[test]
 fn furnace_as_a_picture() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = dir.path().join("furnace.toml");
-    let mut model = Model::default();
-    model.object("box");
-    model.material("glow");
-    model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
-    model.write(&dir.path().join("box.obj"), "newmtl glow\nKd 0.4 0.4 0.4\nKe 2 2 2\n");
-    std::fs::write(
-        &scene,
-        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [2, 2, 2]\ntarget = [3.9, 2, 2]\nfov = 40\n",
-    )
-    .unwrap();
+    let scene = furnace(dir.path(), 0.4);
     let out = dir.path().join("out");
     ok(bin("enfilade").arg("run").arg(&scene).arg("-o").arg(&out).args([
         "--quiet",

@@ -4,7 +4,7 @@
 
 mod common;
 
-use common::{Model, bin, fails, json, number, ok};
+use common::{Model, bin, fails, furnace, json, number, ok};
 use enf_image::{Loaded, read_exr};
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
@@ -45,17 +45,7 @@ const GATHER: [&str; 2] = ["--indirect", "final-gather"];
 #[test]
 fn a_furnace_is_even() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = dir.path().join("furnace.toml");
-    let mut model = Model::default();
-    model.object("box");
-    model.material("glow");
-    model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
-    model.write(&dir.path().join("box.obj"), "newmtl glow\nKd 0.5 0.5 0.5\nKe 2 2 2\n");
-    std::fs::write(
-        &scene,
-        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [2, 2, 2]\ntarget = [3.9, 2, 2]\nfov = 40\n",
-    )
-    .unwrap();
+    let scene = furnace(dir.path(), 0.5);
     for rooms in ["1", "8"] {
         let store = light(&scene, "400k", &["--rooms", rooms]);
         let flags = ["--width", "40", "--height", "40", "--samples", "8", "--max-samples", "8"];

@@ -210,6 +210,24 @@ pub fn two_rooms(path: &Path) {
     m.write(path, MATERIALS);
 }
 
+/// A closed cube of 4 m that glows with radiance 2 and reflects `reflectance` everywhere, with a view `in` it: radiance is
+/// 2 / (1 - reflectance) wherever one looks.
+pub fn furnace(dir: &Path, reflectance: f32) -> PathBuf {
+    let scene = dir.join("furnace.toml");
+    let mut model = Model::default();
+    model.object("box");
+    model.material("glow");
+    model.cuboid([0.0; 3], [4.0, 4.0, 4.0], true);
+    let r = reflectance;
+    model.write(&dir.join("box.obj"), &format!("newmtl glow\nKd {r} {r} {r}\nKe 2 2 2\n"));
+    std::fs::write(
+        &scene,
+        "[[mesh]]\nfile = \"box.obj\"\n[[view]]\nname = \"in\"\neye = [2, 2, 2]\ntarget = [3.9, 2, 2]\nfov = 40\n",
+    )
+    .unwrap();
+    scene
+}
+
 /// [`two_rooms`] with a third room, more furniture (about 1200 triangles) and, in `rooms.toml`, two views; returns
 /// that scene file.
 pub fn furnished(dir: &Path) -> PathBuf {

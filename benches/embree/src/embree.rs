@@ -538,23 +538,10 @@ impl Scene<'_> {
     /// `rtcIntersect1`.
     #[inline]
     pub fn nearest(&self, beam: &Beam) -> Option<Found> {
-        let mut hit = RayHit {
-            ray: ray(beam),
-            normal: [0.0; 3],
-            uv: [0.0; 2],
-            primitive: INVALID,
-            geometry: INVALID,
-            instance: INVALID,
-            room: [INVALID; 8],
-        };
-        // SAFETY: the scene is committed; the record is aligned and as large as the version wants.
-        unsafe { self.embree.queries.nearest.ask(self.handle.as_ptr(), &mut hit) };
-        (hit.geometry != INVALID).then_some(Found { t: hit.ray.far, triangle: hit.primitive })
+        self.meet(beam).map(|(found, _)| found)
     }
 
     /// `rtcIntersect1`, with the normal of the triangle that was hit, not of unit length.
-    // For `embree-photons`, as the next one.
-    #[allow(dead_code)]
     #[inline]
     pub fn meet(&self, beam: &Beam) -> Option<(Found, [f32; 3])> {
         let mut hit = RayHit {
@@ -573,6 +560,7 @@ impl Scene<'_> {
     }
 
     /// [`meet`](Self::meet) by `rtcIntersect16`, sixteen rays at a time, told in the order of the rays.
+    // For `embree-photons` alone.
     #[allow(dead_code)]
     pub fn meet16(&self, beams: &[Beam], mut each: impl FnMut(Option<(Found, [f32; 3])>)) {
         self.packets(self.embree.queries.nearest16, beams, |packet, count| {

@@ -7,6 +7,7 @@
 //! | `nanoflann` | how is C++ called? |
 #![deny(unsafe_code)]
 
+#[path = "../../embree/src/clock.rs"]
 mod clock;
 #[cfg(nanoflann)]
 mod nanoflann;

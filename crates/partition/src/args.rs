@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use clap::{Args, ValueEnum};
 use enf_rooms::RoomCount;
+use enf_scene::{Doors, Up};
 use enf_stage::CommonArgs;
 
 use crate::luminaires::parse_lux;
@@ -20,6 +21,15 @@ pub enum UpArg {
     Z,
 }
 
+impl From<UpArg> for Up {
+    fn from(up: UpArg) -> Self {
+        match up {
+            UpArg::Y => Self::Y,
+            UpArg::Z => Self::Z,
+        }
+    }
+}
+
 /// `--doors`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum DoorsArg {
@@ -28,6 +38,15 @@ pub enum DoorsArg {
     AsModelled,
     /// Objects recognised as doors are left out.
     Open,
+}
+
+impl From<DoorsArg> for Doors {
+    fn from(doors: DoorsArg) -> Self {
+        match doors {
+            DoorsArg::AsModelled => Self::AsModelled,
+            DoorsArg::Open => Self::Open,
+        }
+    }
 }
 
 /// `--hints`.

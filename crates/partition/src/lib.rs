@@ -20,7 +20,7 @@ use std::path::{Path, PathBuf};
 use enf_layout::light::LIGHT_SKY;
 use enf_layout::segment::StageKind;
 use enf_rooms::RoomCount;
-use enf_scene::{Doors, LoadOptions, Scene, Spool, Up};
+use enf_scene::{LoadOptions, Scene, Spool, Up};
 use enf_stage::session::{self, Begin, Session};
 use enf_stage::{Failure, IdSink, Result, interrupt, say, warn};
 use enf_store::{Identity, StageWriter, StoreDir};
@@ -64,8 +64,8 @@ pub fn run(cli: &Cli, out: &IdSink) -> Result<serde_json::Value> {
     let mut session = Session::open(common)?;
     let options = LoadOptions {
         units: args.units,
-        up: args.up.map(|u| if u == UpArg::Y { Up::Y } else { Up::Z }),
-        doors: if args.doors == DoorsArg::Open { Doors::Open } else { Doors::AsModelled },
+        up: args.up.map(Up::from),
+        doors: args.doors.into(),
         spool: Some(Spool { folder: place_for(&cli.output), above: common.memory / LARGE_MESH }),
         strict: args.strict,
     };

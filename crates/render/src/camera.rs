@@ -7,7 +7,7 @@ use enf_layout::room::ViewRecord;
 use enf_layout::segment::ExtentKind;
 use enf_layout::transit::TransitRecord;
 use enf_rooms::Bsp;
-use enf_scene::{Frame, Projection, Up};
+use enf_scene::{DEFAULT_HEIGHT, DEFAULT_WIDTH, Frame, Projection, Up};
 use enf_stage::resident::{TileData, TileReader};
 use enf_stage::tables::Tables;
 use enf_stage::{Failure, Result};
@@ -18,10 +18,6 @@ use glam::Vec3;
 
 use crate::RenderArgs;
 
-/// Picture size when neither the view nor a flag says one.
-pub(crate) const DEFAULT_WIDTH: u32 = 960;
-/// See [`DEFAULT_WIDTH`].
-pub(crate) const DEFAULT_HEIGHT: u32 = 600;
 /// Vertical field of view of viewpoints that were found, degrees.
 const FOUND_FOV: f32 = 58.0;
 /// A plan is cut at this height above the floor, m: below the heads of doors.

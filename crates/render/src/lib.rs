@@ -717,6 +717,7 @@ impl Driver<'_> {
         band: &mut Band,
     ) -> Result<u64> {
         let job_rays = self.context.job_rays;
+        let mut launches = std::mem::take(&mut band.launches);
         let memory: Vec<TransitRecord> = self.rows.take(tile).collect();
         let mut flying = 0;
         let mut handed = memory.len() as u64;
@@ -764,30 +765,18 @@ impl Driver<'_> {
             left += rest.iter().map(|e| e.count).sum::<u64>();
             self.waiting.entry(tile).or_default().extend(rest);
         }
-        for i in 0..band.launches.len() {
-            let (from, Range { start, end }) =
-                (band.launches[i].tile, band.launches[i].left.clone());
-            let mut cursor = start;
-            while from == tile && outcome.is_ok() && cursor < end && handed < VISIT_RAYS {
-                let stop = (cursor + job_rays).min(end);
-                let work = Work::Camera { indices: cursor..stop };
-                let job = Job {
-                    tile: Arc::clone(data),
-                    light: Arc::clone(light),
-                    film: Arc::clone(&band.film),
-                    first_pixel: band.first_pixel,
-                    pass: band.pass.clone(),
-                    work,
-                };
-                outcome = self.send(job, &mut flying);
-                handed += stop - cursor;
-                cursor = stop;
+        for launch in launches.iter_mut().filter(|l| l.tile == tile) {
+            let left_to_send = &mut launch.left;
+            while outcome.is_ok() && !left_to_send.is_empty() && handed < VISIT_RAYS {
+                let stop = (left_to_send.start + job_rays).min(left_to_send.end);
+                let work = Work::Camera { indices: left_to_send.start..stop };
+                outcome = self.send(job(work), &mut flying);
+                handed += stop - left_to_send.start;
+                left_to_send.start = stop;
             }
-            band.launches[i].left.start = cursor;
-            if from == tile {
-                left += end - cursor;
-            }
+            left += left_to_send.end - left_to_send.start;
         }
+        band.launches = launches;
         while flying > 0 {
             outcome = outcome.and(self.receive(&mut flying));
         }

@@ -742,7 +742,7 @@ impl Shader<'_> {
             && let Some((map, cache)) = &self.map
         {
             products.gathers += 1;
-            let gathered = cache.irradiance(
+            let gathered = cache.estimate(
                 map,
                 surface.position,
                 surface.normal,
@@ -750,7 +750,7 @@ impl Shader<'_> {
                 &self.portals,
                 &mut scratch.gather,
             );
-            self.add_indirect(record, reflected * Vec3::from(gathered));
+            self.add_indirect(record, reflected * Vec3::from(gathered.rgb));
         }
         self.direct(record, surface, throughput, lobes, scratch, products);
     }

@@ -54,7 +54,7 @@ pub use frame::{Frame, Up};
 pub use lamps::Profiles;
 pub use load::load;
 pub use texture::{Texels, Texture};
-pub use views::{Camera, Projection, load_views};
+pub use views::{Camera, DEFAULT_HEIGHT, DEFAULT_WIDTH, Projection, load_views};
 
 use enf_layout::{
     NONE,

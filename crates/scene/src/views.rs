@@ -10,6 +10,11 @@ use glam::DVec3;
 use std::path::Path;
 use toml::Spanned;
 
+/// Picture width, pixels, where neither the view nor a flag says one.
+pub const DEFAULT_WIDTH: u32 = 960;
+/// Picture height, pixels, likewise.
+pub const DEFAULT_HEIGHT: u32 = 600;
+
 /// Vertical field of view of a view that gives none, degrees.
 const DEFAULT_FOV: f64 = 60.0;
 /// Largest picture side, pixels.

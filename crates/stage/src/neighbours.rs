@@ -1,5 +1,6 @@
 //! Which tiles light can pass between without entering a third one.
 
+use enf_layout::room::PIECE_CORNERS;
 use enf_rooms::Bsp;
 use glam::DVec3;
 
@@ -28,10 +29,10 @@ impl Neighbours {
         };
         for piece in tables.pieces() {
             let corner = |i: usize| {
-                let corner = piece.corners[i % enf_layout::room::PIECE_CORNERS];
+                let corner = piece.corners[i % PIECE_CORNERS];
                 DVec3::from_array(corner.map(f64::from))
             };
-            let count = (piece.count as usize).clamp(1, enf_layout::room::PIECE_CORNERS);
+            let count = (piece.count as usize).clamp(1, PIECE_CORNERS);
             let centre = (0..count).map(corner).sum::<DVec3>() / count as f64;
             let normal = (0..count)
                 .map(|i| (corner(i) - centre).cross(corner((i + 1) % count) - centre))
@@ -58,7 +59,7 @@ impl Neighbours {
         Self::from_pairs(tiles.len(), pairs)
     }
 
-    fn from_pairs(tiles: usize, mut pairs: Vec<(u32, u32)>) -> Self {
+    pub(crate) fn from_pairs(tiles: usize, mut pairs: Vec<(u32, u32)>) -> Self {
         pairs.sort_unstable();
         pairs.dedup();
         let mut neighbours = Self { first: vec![0], of: Vec::new() };

@@ -148,7 +148,6 @@ pub struct TileCache<'a> {
     /// Bytes that the cache leaves to others: blocks of records that are read back.
     margin: u64,
     loads: BTreeMap<u32, u32>,
-    evicted: u64,
 }
 
 impl<'a> TileCache<'a> {
@@ -183,7 +182,6 @@ impl<'a> TileCache<'a> {
             most,
             margin,
             loads: BTreeMap::new(),
-            evicted: 0,
         };
         (cache, lane)
     }
@@ -309,7 +307,6 @@ impl<'a> TileCache<'a> {
             .map(|(&tile, _)| tile);
         let Some(tile) = oldest else { return false };
         self.resident.remove(&tile);
-        self.evicted += 1;
         true
     }
 

@@ -38,8 +38,6 @@ pub struct Scheduler {
     width: usize,
     /// Complete binary tree from index 1: each node is the most work among its leaves.
     most: Vec<u64>,
-    /// Of each tile's work, how much is on disk.
-    on_disk: Vec<u64>,
     total: u64,
 }
 
@@ -47,60 +45,35 @@ impl Scheduler {
     /// A scheduler over tiles `0..tiles` with nothing to do.
     pub fn new(schedule: Schedule, tiles: u32) -> Self {
         let width = (tiles.max(1) as usize).next_power_of_two();
-        Self { schedule, width, most: vec![0; 2 * width], on_disk: vec![0; width], total: 0 }
+        Self { schedule, width, most: vec![0; 2 * width], total: 0 }
     }
 
     /// The bytes that a scheduler of this many tiles holds.
     pub fn memory_bytes(tiles: u32) -> u64 {
-        u64::from(tiles.max(1)).next_power_of_two() * 24
+        u64::from(tiles.max(1)).next_power_of_two() * 16
     }
 
-    /// `n` more records wait in memory for `tile`. Tiles are dense; one beyond the number given at
+    /// `n` more records wait for `tile`. Tiles are dense; one beyond the number given at
     /// the start makes the table grow.
     pub fn add(&mut self, tile: u32, n: u64) {
         self.change(tile, |work| work.saturating_add(n));
-    }
-
-    /// `n` more records wait on disk for `tile`: what a resumed run finds there.
-    pub fn add_on_disk(&mut self, tile: u32, n: u64) {
-        self.add(tile, n);
-        self.on_disk[tile as usize] += n;
-    }
-
-    /// `n` of the records that waited in memory for `tile` were written out.
-    pub fn spilled(&mut self, tile: u32, n: u64) {
-        let work = self.pending(tile);
-        if let Some(on_disk) = self.on_disk.get_mut(tile as usize) {
-            *on_disk = on_disk.saturating_add(n).min(work);
-        }
     }
 
     /// Takes all the work of `tile`, and says how much that was.
     pub fn take(&mut self, tile: u32) -> u64 {
         let work = self.pending(tile);
         if work > 0 {
-            self.on_disk[tile as usize] = 0;
             self.change(tile, |_| 0);
         }
         work
     }
 
-    /// Records that wait for `tile`, in memory and on disk.
+    /// Records that wait for `tile`.
     pub fn pending(&self, tile: u32) -> u64 {
         match tile as usize {
             tile if tile < self.width => self.most[self.width + tile],
             _ => 0,
         }
-    }
-
-    /// Records that wait for `tile` on disk.
-    pub fn pending_on_disk(&self, tile: u32) -> u64 {
-        self.on_disk.get(tile as usize).copied().unwrap_or(0)
-    }
-
-    /// Records that wait for `tile` in memory.
-    pub fn pending_in_memory(&self, tile: u32) -> u64 {
-        self.pending(tile) - self.pending_on_disk(tile)
     }
 
     /// Records that wait anywhere; 0 means that the work is done.
@@ -109,10 +82,9 @@ impl Scheduler {
     }
 
     /// The tile to visit next, or `None` if nothing waits anywhere. `resident` says whether a tile
-    /// is loaded; it is asked for tiles with work only. See [`Self::next_among`] if the resident
-    /// tiles are at hand as a list.
+    /// is loaded; it is asked for tiles with work only.
     pub fn next(&self, resident: &dyn Fn(u32) -> bool) -> Option<u32> {
-        let global = self.busiest()?;
+        let global = self.busiest_except(&|_| false)?;
         if self.schedule == Schedule::MostWork {
             return Some(global);
         }
@@ -125,20 +97,6 @@ impl Scheduler {
             }
         }
         best.or(Some(global))
-    }
-
-    /// [`Self::next`] with the resident tiles as a list in any order: cheaper, since they are few.
-    pub fn next_among(&self, resident: &[u32]) -> Option<u32> {
-        let global = self.busiest()?;
-        if self.schedule == Schedule::MostWork {
-            return Some(global);
-        }
-        let best = resident
-            .iter()
-            .map(|&tile| (self.pending(tile), tile))
-            .filter(|&(work, _)| work > 0)
-            .max_by(|a, b| a.0.cmp(&b.0).then(b.1.cmp(&a.1)));
-        Some(best.map_or(global, |(_, tile)| tile))
     }
 
     /// Whether what is resident comes before what is not.
@@ -187,18 +145,19 @@ impl Scheduler {
 
     /// The tile with the most work that is not excluded, the lowest of equals.
     fn busiest_except(&self, excluded: &dyn Fn(u32) -> bool) -> Option<u32> {
-        // Depth first, the busier branch first; a branch without more than what was found is left out.
         let (mut best, mut most) = (None, 0);
-        let mut nodes = vec![1];
+        // Depth first, the busier branch first, the left one of equals.
+        let mut nodes = vec![1usize];
         while let Some(node) = nodes.pop() {
-            if self.most[node] < most || self.most[node] == 0 {
+            let first = (node << (self.width.ilog2() - node.ilog2())) - self.width;
+            let worth = self.most[node] > most
+                || self.most[node] == most && best.is_some_and(|b| first < b as usize);
+            if !worth {
                 continue;
             }
             if node >= self.width {
-                let tile = (node - self.width) as u32;
-                let better = self.most[node] > most || best.is_some_and(|b| tile < b);
-                if better && !excluded(tile) {
-                    (best, most) = (Some(tile), self.most[node]);
+                if !excluded(first as u32) {
+                    (best, most) = (Some(first as u32), self.most[node]);
                 }
                 continue;
             }
@@ -209,22 +168,6 @@ impl Scheduler {
             }
         }
         best
-    }
-
-    /// The tile with the most work, the lowest of equals.
-    fn busiest(&self) -> Option<u32> {
-        let most = self.most[1];
-        if most == 0 {
-            return None;
-        }
-        let mut node = 1;
-        while node < self.width {
-            node *= 2;
-            if self.most[node] != most {
-                node += 1;
-            }
-        }
-        u32::try_from(node - self.width).ok()
     }
 
     fn change(&mut self, tile: u32, to: impl FnOnce(u64) -> u64) {
@@ -254,7 +197,6 @@ impl Scheduler {
             most[node] = most[2 * node].max(most[2 * node + 1]);
         }
         (self.width, self.most) = (width, most);
-        self.on_disk.resize(width, 0);
     }
 }
 
@@ -271,7 +213,7 @@ mod tests {
         s.add(1, 7);
         s.add(2, 3);
         assert_eq!(s.next(&|tile| tile == 4), Some(1));
-        assert_eq!((s.take(1), s.next_among(&[2]), s.total()), (7, Some(4), 10));
+        assert_eq!((s.take(1), s.next(&|tile| tile == 2), s.total()), (7, Some(4), 10));
         assert_eq!((s.take(4), s.take(2), s.take(0)), (7, 3, 0));
         assert_eq!((s.next(&|_| true), s.total()), (None, 0));
     }
@@ -286,23 +228,44 @@ mod tests {
         assert_eq!(s.next(&|_| false), Some(0));
         s.add(2, 1);
         assert_eq!(s.next(&|tile| tile >= 2), Some(2), "the lowest of equals");
-        assert_eq!(s.next_among(&[3, 2]), Some(2));
+        assert_eq!(s.next_visit([3, 2], &|_| false), Some(2));
+        assert_eq!(s.next_visit([3, 2], &|tile| tile == 2), Some(3), "2 is being visited");
+        assert_eq!(s.next_visit([1], &|_| false), None, "nothing waits at 1");
     }
 
     #[test]
-    fn memory_and_disk_are_told_apart() {
-        let mut s = Scheduler::new(Schedule::default(), 3);
-        s.add(1, 30);
-        s.spilled(1, 20);
-        assert_eq!((s.pending(1), s.pending_on_disk(1), s.pending_in_memory(1)), (30, 20, 10));
-        s.add_on_disk(1, 5);
-        assert_eq!((s.pending_on_disk(1), s.pending_in_memory(1)), (25, 10));
-        assert_eq!((s.take(1), s.pending_on_disk(1), s.pending_in_memory(1)), (35, 0, 0));
-        s.spilled(1, 9);
-        s.spilled(77, 9);
-        assert_eq!((s.pending_on_disk(1), s.pending(77)), (0, 0));
-        s.add_on_disk(77, 6);
-        assert_eq!((s.pending(77), s.total(), s.next(&|_| false)), (6, 6, Some(77)));
+    fn the_paper_visits_the_busiest_or_waits_for_it() {
+        let mut s = Scheduler::new(Schedule::MostWork, 4);
+        s.add(1, 5);
+        s.add(2, 9);
+        assert_eq!(s.next_visit([1], &|_| false), None, "2 has to be loaded");
+        assert_eq!(s.next_visit([1, 2], &|_| false), Some(2));
+        assert_eq!(s.next_visit([1, 2], &|tile| tile == 2), Some(1));
+    }
+
+    #[test]
+    fn neighbours_of_the_last_ones_are_loaded_first() {
+        // A suite of rooms, 0 to 4, and a large one apart.
+        let doors = (0..4).flat_map(|t| [(t, t + 1), (t + 1, t)]).collect();
+        let n = Neighbours::from_pairs(6, doors);
+        let mut s = Scheduler::new(Schedule::ResidentFirst, 6);
+        for (tile, work) in [(0, 3), (2, 10), (3, 40), (4, 40), (5, 900)] {
+            s.add(tile, work);
+        }
+        let load = |s: &Scheduler, recent: &[u32]| {
+            s.next_load(recent.iter().copied(), &n, &|tile| recent.contains(&tile))
+        };
+        assert_eq!(load(&s, &[]), Some(5));
+        assert_eq!(load(&s, &[1]), Some(2), "3 at tile 0 are too few");
+        assert_eq!(load(&s, &[3, 1]), Some(4), "of the last one's neighbours the busiest");
+        assert_eq!(load(&s, &[0, 1]), Some(2), "then the one before");
+        assert_eq!(load(&s, &[0]), Some(5), "nothing waits next door");
+        s.take(5);
+        assert_eq!(load(&s, &[1]), Some(2));
+        let mut s = Scheduler::new(Schedule::MostWork, 6);
+        s.add(2, 10);
+        s.add(5, 900);
+        assert_eq!(load(&s, &[1]), Some(5));
     }
 
     proptest! {
@@ -310,23 +273,20 @@ mod tests {
         fn it_is_a_linear_scan(
             resident_first: bool,
             tiles in 1u32..40,
-            steps in prop::collection::vec((0u32..40, 0u64..200, 0u8..4), 1..60),
+            steps in prop::collection::vec((0u32..40, 0u64..8, any::<bool>()), 1..60),
             resident in prop::collection::vec(any::<bool>(), 40),
         ) {
             let schedule =
                 if resident_first { Schedule::ResidentFirst } else { Schedule::MostWork };
             let mut s = Scheduler::new(schedule, tiles);
             let mut work = vec![0u64; 40];
-            let list: Vec<u32> = (0..40).rev().filter(|&t| resident[t as usize]).collect();
             for (tile, n, what) in steps {
-                match what {
-                    0 => {
-                        prop_assert_eq!(s.take(tile), work[tile as usize]);
-                        work[tile as usize] = 0;
-                    }
-                    1 => { s.add_on_disk(tile, n); work[tile as usize] += n; }
-                    2 => s.spilled(tile, n),
-                    _ => { s.add(tile, n); work[tile as usize] += n; }
+                if what {
+                    prop_assert_eq!(s.take(tile), work[tile as usize]);
+                    work[tile as usize] = 0;
+                } else {
+                    s.add(tile, n);
+                    work[tile as usize] += n;
                 }
                 let first = |ok: &dyn Fn(usize) -> bool| {
                     (0..40).filter(|&t| work[t] > 0 && ok(t))
@@ -336,9 +296,9 @@ mod tests {
                 let worth = |t: usize| resident_first && resident[t];
                 let expected = first(&worth).or_else(|| first(&|_| true));
                 prop_assert_eq!(s.next(&|t| resident[t as usize]), expected);
-                prop_assert_eq!(s.next_among(&list), expected);
+                let excluded = |t: u32| resident[t as usize];
+                prop_assert_eq!(s.busiest_except(&excluded), first(&|t| !resident[t]));
                 prop_assert_eq!(s.total(), work.iter().sum::<u64>());
-                prop_assert!(s.pending_on_disk(tile) <= s.pending(tile));
             }
         }
     }

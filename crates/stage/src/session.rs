@@ -291,7 +291,7 @@ pub fn refuse_large_tiles(
     memory: u64,
 ) -> Result<()> {
     for tile in 0..tables.tiles().len() as u32 {
-        let needs = reader.bytes(tile)?;
+        let needs = reader.peak_bytes(tile)?;
         if needs > budget.available() {
             return Err(too_small(tables, tile, needs, budget, memory));
         }

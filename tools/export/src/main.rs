@@ -5,11 +5,12 @@ use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
-use clap::{ArgGroup, Args, Parser, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, Parser, Subcommand};
 use enf_export::building::Building;
 use enf_export::compare::{self, compare};
 use enf_export::{mitsuba, radiance, view};
-use enf_scene::{Doors, LoadOptions, Up, parse_units};
+use enf_partition::{DoorsArg, UpArg};
+use enf_scene::{LoadOptions, Up, parse_units};
 use enf_stage::{ExitStatus, Failure, Result};
 
 /// Write a scene for another renderer, or compare its picture with ours.
@@ -60,21 +61,6 @@ struct Export {
     doors: DoorsArg,
 }
 
-#[derive(Clone, Copy, Debug, ValueEnum)]
-enum UpArg {
-    Z,
-    Y,
-}
-
-#[derive(Clone, Copy, Debug, Default, ValueEnum)]
-enum DoorsArg {
-    /// Where they are
-    #[default]
-    AsModelled,
-    /// Left out
-    Open,
-}
-
 #[derive(Args, Debug)]
 struct Compare {
     /// Our picture; layers are used where it has them
@@ -100,14 +86,8 @@ struct Compare {
 fn export(cli: &Export) -> Result<()> {
     let options = LoadOptions {
         units: cli.units,
-        up: cli.up.map(|up| match up {
-            UpArg::Z => Up::Z,
-            UpArg::Y => Up::Y,
-        }),
-        doors: match cli.doors {
-            DoorsArg::AsModelled => Doors::AsModelled,
-            DoorsArg::Open => Doors::Open,
-        },
+        up: cli.up.map(Up::from),
+        doors: cli.doors.into(),
         ..LoadOptions::default()
     };
     let building = Building::read(&cli.scene, &options)?;

@@ -1,13 +1,8 @@
 //! Views as both renderers want them: which, and how large.
 
 use enf_layout::room::ViewRecord;
-use enf_scene::{Projection, View};
+use enf_scene::{DEFAULT_HEIGHT, DEFAULT_WIDTH, Projection, View};
 use enf_stage::{Failure, Result};
-
-/// Width of a picture when neither the view nor a flag says one, as `enf-render` has it.
-const DEFAULT_WIDTH: u32 = 960;
-/// See [`DEFAULT_WIDTH`].
-const DEFAULT_HEIGHT: u32 = 600;
 
 /// The views that are asked for by name, or all; with sizes.
 ///

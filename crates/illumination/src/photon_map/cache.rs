@@ -71,21 +71,26 @@ impl IrradianceCache {
     /// An empty cache for a map; the caller has the memory reserved.
     pub fn new(map: &PhotonMap<'_>) -> Self {
         let mut places = Vec::with_capacity(map.len().div_ceil(STRIDE));
-        let mut trees = [0; 7];
-        for bin in 0..6 {
-            let first = places.len();
-            for (i, photon) in map.photons().step_by(STRIDE) {
+        for (i, photon) in map.photons().step_by(STRIDE) {
+            if photon.flags & PHOTON_HALO == 0 {
                 let [.., n0, n1, n2] = photon.directions;
-                if photon.flags & PHOTON_HALO == 0 && bin_of(direction(n0, n1, n2)) == bin {
-                    places.push(Place {
-                        position: photon.position(),
-                        normal_axis: u32::from_le_bytes([n0, n1, n2, 0]),
-                        photon: i,
-                    });
-                }
+                let bin = bin_of(direction(n0, n1, n2)) as u8;
+                places.push(Place {
+                    position: photon.position(),
+                    // The tree's number, until it is planted.
+                    normal_axis: u32::from_le_bytes([n0, n1, n2, bin]),
+                    photon: i,
+                });
             }
-            plant(&mut places[first..]);
-            trees[bin + 1] = places.len() as u32;
+        }
+        places.sort_unstable_by_key(|place| (place.axis(), place.photon));
+        let trees =
+            [0, 1, 2, 3, 4, 5, 6].map(|bin| places.partition_point(|p| p.axis() < bin) as u32);
+        for place in &mut places {
+            place.normal_axis &= 0x00ff_ffff;
+        }
+        for range in trees.windows(2) {
+            plant(&mut places[range[0] as usize..range[1] as usize]);
         }
         let mut values = Vec::new();
         values.resize_with(places.len(), Value::default);
@@ -93,21 +98,9 @@ impl IrradianceCache {
     }
 
     /// Irradiance at `point` (m) with unit `normal`, W/m²: the mean of the nearest places, or, where none is near, a
-    /// gather of its own. `gather`, `portals` and the map must be the same at every call.
-    pub fn irradiance(
-        &self,
-        map: &PhotonMap<'_>,
-        point: Vec3,
-        normal: Vec3,
-        gather: &Gather,
-        portals: &PortalSet<'_>,
-        scratch: &mut GatherScratch,
-    ) -> [f32; 3] {
-        self.estimate(map, point, normal, gather, portals, scratch).rgb
-    }
-
-    /// [`IrradianceCache::irradiance`], with the mean radius of the discs that it comes from: what is nearer than that is
-    /// blurred. `photons` counts those of a gather of its own, else 0.
+    /// gather of its own; with the mean radius of the discs that it comes from: what is nearer than that is
+    /// blurred. `photons` counts those of a gather of its own, else 0. `gather`, `portals` and the map must be the same at every
+    /// call.
     pub fn estimate(
         &self,
         map: &PhotonMap<'_>,
@@ -338,7 +331,8 @@ mod tests {
             );
             let mut ask = |p, normal| {
                 f64::from(
-                    cache.irradiance(&map, p, normal, &gather, &PortalSet::none(), &mut scratch)[0],
+                    cache.estimate(&map, p, normal, &gather, &PortalSet::none(), &mut scratch).rgb
+                        [0],
                 )
             };
             sums[0] += ask(p, Vec3::Z) / f64::from(n);
@@ -363,14 +357,9 @@ mod tests {
             let cache = IrradianceCache::new(&map);
             let mut out = vec![[0.0; 3]; points.len()];
             for i in order {
-                out[i] = cache.irradiance(
-                    &map,
-                    points[i],
-                    Vec3::Z,
-                    &gather,
-                    &PortalSet::none(),
-                    &mut scratch,
-                );
+                out[i] = cache
+                    .estimate(&map, points[i], Vec3::Z, &gather, &PortalSet::none(), &mut scratch)
+                    .rgb;
             }
             out
         };
