@@ -945,7 +945,7 @@ impl Shader<'_> {
     /// A point on a light, seen from a surface, from three uniform numbers; `None` where nothing can arrive from it.
     fn sample(&self, light: &LightRecord, surface: &Surface, v: [f32; 3]) -> Option<Sample> {
         let emitters = self.context.tables.emitters_of(light);
-        let point = emission::point_on(light, emitters, v);
+        let point = emission::point_on(light, emitters, v, 0.0);
         let to = point.position - surface.origin;
         let square = to.length_squared();
         let distance = square.sqrt();

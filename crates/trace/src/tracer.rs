@@ -460,8 +460,8 @@ impl Context<'_> {
         }
         let u = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 0);
         let v = rng::uniforms(self.seed, Purpose::Probe, id, probe, 0, 1);
-        let point = emission::point_on(light, emitters, [u[0], u[1], u[2]]);
         let lift = if !emitters.is_empty() { tile.delta * emission::OFFSET_PER_DELTA } else { 0.0 };
+        let point = emission::point_on(light, emitters, [u[0], u[1], u[2]], lift);
         let origin = point.position + point.normal * lift;
         let room = self.leaf(self.bsp.locate(origin.as_dvec3())).room;
         let portals = self.tables.portals_of(room);

@@ -37,8 +37,14 @@ pub struct LightPoint {
     pub triangle: u32,
 }
 
-/// A uniform point on a light from three uniform numbers. `emitters` are this light's own.
-pub fn point_on(light: &LightRecord, emitters: &[EmitterRecord], u: [f32; 3]) -> LightPoint {
+/// A uniform point on a light from three uniform numbers. `emitters` are this light's own. Points of an area keep `margin`, m, off
+/// the edges of its triangles: rays that start there need it (see [`vector::off_edges`]), others say 0.
+pub fn point_on(
+    light: &LightRecord,
+    emitters: &[EmitterRecord],
+    u: [f32; 3],
+    margin: f32,
+) -> LightPoint {
     if emitters.is_empty() {
         return LightPoint {
             position: Vec3::from(light.position),
@@ -48,11 +54,12 @@ pub fn point_on(light: &LightRecord, emitters: &[EmitterRecord], u: [f32; 3]) ->
     }
     let index = emitters.partition_point(|e| e.cumulative <= u[0]).min(emitters.len() - 1);
     let emitter = &emitters[index];
-    let [a, b, c] = emitter.corners.map(Vec3::from);
+    let [a, b, c] = emitter.corners.map(|p| Vec3::from(p).as_dvec3());
     let (v, w) = vector::triangle(u[1], u[2]);
+    let (v, w) = (f64::from(v), f64::from(w));
     LightPoint {
-        position: a * (1.0 - v - w) + b * v + c * w,
-        normal: (b - a).as_dvec3().cross((c - a).as_dvec3()).normalize_or_zero().as_vec3(),
+        position: vector::off_edges([a, b, c], v, w, f64::from(margin)).as_vec3(),
+        normal: (b - a).cross(c - a).normalize_or_zero().as_vec3(),
         triangle: emitter.triangle,
     }
 }
@@ -79,10 +86,11 @@ pub fn start(
     }
     let u = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 0);
     let v = rng::uniforms(seed, Purpose::Emission, id, photon, 0, 1);
-    let point = point_on(light, emitters, [u[0], u[1], u[2]]);
+    let lift = delta * OFFSET_PER_DELTA;
+    let point = point_on(light, emitters, [u[0], u[1], u[2]], lift);
     match light.kind {
         LIGHT_AREA => Start {
-            origin: point.position + point.normal * (delta * OFFSET_PER_DELTA),
+            origin: point.position + point.normal * lift,
             direction: vector::cosine(point.normal, v[0], v[1]),
             triangle: point.triangle,
         },

@@ -9,6 +9,7 @@ use glam::{DVec3, Vec3};
 use crate::emission::OFFSET_PER_DELTA;
 use crate::scatter::{Met, Swings};
 use crate::texture::Texturing;
+use crate::vector;
 
 /// A tile in memory, and the tables that say where it lies.
 #[derive(Clone, Copy)]
@@ -56,7 +57,7 @@ pub enum Flight {
 /// A point on a surface as later rays need it.
 #[derive(Clone, Copy, Debug)]
 pub struct Surface {
-    /// The point, m: on the triangle to rounding.
+    /// The point, m: on the triangle to rounding, delta/4 off its edges.
     pub position: Vec3,
     /// Unit geometric normal on the side that was hit.
     pub normal: Vec3,
@@ -149,7 +150,8 @@ impl Surface {
 pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
     let [a, b, c] = tile.structure.corners(hit.slot).map(|p| p.as_dvec3());
     let (u, v) = (f64::from(hit.u), f64::from(hit.v));
-    let position = (a * (1.0 - u - v) + b * u + c * v).as_vec3();
+    let lift = tile.delta * OFFSET_PER_DELTA;
+    let position = vector::off_edges([a, b, c], u, v, f64::from(lift)).as_vec3();
     let normal = (b - a).cross(c - a).normalize_or_zero();
     let front = normal.dot(direction.as_dvec3()) < 0.0;
     let normal = (if front { normal } else { -normal }).as_vec3();
@@ -157,7 +159,7 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
         position,
         normal,
         front,
-        origin: position + normal * (tile.delta * OFFSET_PER_DELTA),
+        origin: position + normal * lift,
         triangle: hit.global,
         material: tile.structure.material(hit.slot),
     }

@@ -568,7 +568,7 @@ impl Daylight {
             let point = self.shell.point(side, f64::from(u[1]), f64::from(u[2]));
             (point, normal, area / (sides[side] - before).max(f64::MIN_POSITIVE), side)
         } else {
-            let point = emission::point_on(light, emitters, [u[0], u[1], u[2]]);
+            let point = emission::point_on(light, emitters, [u[0], u[1], u[2]], 0.0);
             let table = self.table_of.get(id as usize).copied().unwrap_or(NONE);
             let table = if table == NONE { Self::DOME } else { table as usize };
             let out = -point.normal.as_dvec3();
@@ -743,7 +743,7 @@ impl Daylight {
                     .then(|| (direction.as_vec3(), distance as f32, (1.0 / total) as f32));
             }
         }
-        let point = emission::point_on(light, emitters, u);
+        let point = emission::point_on(light, emitters, u, 0.0);
         let to = point.position.as_dvec3() - origin;
         let square = to.length_squared();
         let distance = square.sqrt();

@@ -1,6 +1,6 @@
 //! Frames and directions. Sines come from the `libm` crate: the system's differ in the last bit.
 
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 
 /// Two unit vectors that make a right-handed frame with the unit vector `n` (Duff et al. 2017, JCGT 6(1)).
 #[inline]
@@ -39,6 +39,58 @@ pub fn triangle(u1: f32, u2: f32) -> (f32, f32) {
     (root * (1.0 - u2), root * u2)
 }
 
+/// The point of a triangle with barycentric coordinates `u` and `v` of the corners 1 and 2, but not nearer to an edge than
+/// `margin`, m, so that rounding cannot put it beyond a surface that meets this one there. A triangle that is too
+/// narrow is kept clear as far as it goes; a point is never moved by more than 16 margins.
+#[inline]
+pub fn off_edges([a, b, c]: [DVec3; 3], u: f64, v: f64, margin: f64) -> DVec3 {
+    let (ab, bc, ca) = (b - a, c - b, a - c);
+    let point = a * (1.0 - u - v) + b * u + c * v;
+    // The distance from an edge is twice the area over the edge's length, times the weight of the corner across.
+    let squares = [bc, ca, ab].map(|edge| edge.length_squared());
+    let longest = squares[0].max(squares[1]).max(squares[2]);
+    let least = (1.0 - u - v).min(u).min(v).max(0.0);
+    let twice = ab.cross(ca);
+    if least * least * twice.length_squared() >= margin * margin * longest {
+        return point;
+    }
+    clear_of_edges([a, b, c], twice.length(), squares.map(f64::sqrt), point, margin)
+}
+
+/// The point nearest to `point` in the triangle whose edges are drawn in by `margin`: a smaller one about the same centre.
+#[cold]
+fn clear_of_edges(
+    corners: [DVec3; 3],
+    twice: f64,
+    lengths: [f64; 3],
+    point: DVec3,
+    margin: f64,
+) -> DVec3 {
+    let around = lengths[0] + lengths[1] + lengths[2];
+    let (radius, centre) = (
+        twice / around,
+        (corners[0] * lengths[0] + corners[1] * lengths[1] + corners[2] * lengths[2]) / around,
+    );
+    if !(radius > 0.0) {
+        return point;
+    }
+    let inner = corners.map(|p| centre + (p - centre) * (1.0 - margin / radius).max(0.5));
+    let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+    let (mut nearest, mut inside) = (point, true);
+    let mut best = f64::INFINITY;
+    for i in 0..3 {
+        let (from, edge) = (inner[i], inner[(i + 1) % 3] - inner[i]);
+        inside &= normal.cross(edge).dot(point - from) >= 0.0;
+        let along = ((point - from).dot(edge) / edge.length_squared()).clamp(0.0, 1.0);
+        let candidate = from + edge * along;
+        let square = candidate.distance_squared(point);
+        if square < best {
+            (best, nearest) = (square, candidate);
+        }
+    }
+    if inside { point } else { point + (nearest - point).clamp_length_max(16.0 * margin) }
+}
+
 /// The top 24 bits of a 32-bit fraction as a number in `[0, 1)`.
 pub fn fraction(bits: u32) -> f32 {
     crate::rng::unit(bits)
@@ -55,7 +107,48 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// Distances of a point in a triangle's plane from its edges, positive inside.
+    fn distances(corners: [DVec3; 3], point: DVec3) -> [f64; 3] {
+        let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
+        [0, 1, 2].map(|i| {
+            let edge = corners[(i + 1) % 3] - corners[i];
+            normal.cross(edge).normalize().dot(point - corners[i])
+        })
+    }
+
+    fn number() -> impl Strategy<Value = f64> {
+        -50.0..50.0
+    }
+
+    /// A weight that is often nothing, or next to it.
+    fn weight() -> impl Strategy<Value = f64> {
+        prop_oneof![Just(0.0), 0.0..1e-6, 0.0..1.0f64]
+    }
+
     proptest! {
+        #[test]
+        fn starts_stay_off_edges(
+            c in [[number(), number(), number()], [number(), number(), number()], [number(), number(), number()]],
+            w in [weight(), weight(), weight()],
+        ) {
+            let corners = c.map(DVec3::from_array);
+            let sum: f64 = w.iter().sum();
+            let w = if sum > 0.0 { w.map(|w| w / sum) } else { [1.0, 0.0, 0.0] };
+            let margin = 3e-5;
+            let before = corners[0] * w[0] + corners[1] * w[1] + corners[2] * w[2];
+            let after = off_edges(corners, w[1], w[2], margin);
+            let moved = after.distance(before);
+            prop_assert!(moved <= 16.0 * margin + 1e-9, "moved by {moved}");
+            let kept = distances(corners, before).iter().all(|&d| d >= margin);
+            prop_assert!(!kept || moved < 1e-9, "it was clear already");
+            let sides = [0, 1, 2].map(|i| corners[(i + 1) % 3] - corners[i]);
+            let least = (0..3).map(|i| sides[i].angle_between(-sides[(i + 2) % 3])).fold(4.0, f64::min);
+            let distances = distances(corners, after);
+            // A point in a very sharp corner would have to go far.
+            let needed = if least > 0.15 { margin * 0.999 } else { -1e-9 };
+            prop_assert!(distances.iter().all(|&d| d >= needed), "{distances:?}, angle {least}");
+        }
+
         #[test]
         fn frames_are_orthonormal(u in 0.0f32..1.0, v in 0.0f32..1.0) {
             let n = sphere(u, v);
