@@ -4,7 +4,7 @@
 #   benches/table3.sh [FOLDER] [BUILDING...]      a building is one of those below; all but the towers by default
 #
 # Everything goes to FOLDER (default ./table3), which keeps the statistics of each stage and loses each store when its row is
-# printed (KEEP=1 keeps them). MEMORY (380M) and THREADS are handed on; BIN is a folder of binaries that are built already. Z-Building_101 takes 20 GB of disk, Tower_024 another 20.
+# printed (KEEP=1 keeps them, and goes on with what is there). MEMORY (380M) and THREADS are handed on; BIN is a folder of binaries that are built already. Z-Building_101 takes 20 GB of disk, Tower_024 another 20.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 folder=${1:-table3}
@@ -36,14 +36,23 @@ number() {
     sed -n "s/^ *\"$2\": *\([0-9.e+-]*\),*$/\1/p" "$1" | head -1
 }
 
-printf '| building | photons emitted, M | impacts, M (paper) | propagation, s: wall, CPU (paper) | photon maps, s: wall, CPU (paper) | loads of a tile: mean, max, never | reflections: min, mean, max | through portals | read, written, MB | peak resident, MiB: trace, maps |\n'
-printf '|---|---|---|---|---|---|---|---|---|---|\n'
+# What was reserved when the most was, MiB, as the paper splits it: geometry (with what keeps triangles apart from rays), photons, all else.
+split() {
+    sed -n '/"reserved_at_peak"/,/}/s/^ *"\([^"]*\)": *\([0-9]*\),*$/\2 \1/p' "$1" | awk '
+        /tile$/ { geometry += $1; next }
+        /photon|map of a room/ { photons += $1; next }
+        { other += $1 }
+        END { printf "%.0f / %.0f / %.0f", geometry / 1048576, photons / 1048576, other / 1048576 }'
+}
+
+printf '| building | photons emitted, M | impacts, M (paper) | propagation, s: wall, CPU (paper) | photon maps, s: wall, CPU (paper) | loads of a tile: mean, max, never | reflections: min, mean, max | through portals | read, written, MB | peak resident, MiB: trace, maps | reserved then, MiB: geometry / photons / other: trace; maps |\n'
+printf '|---|---|---|---|---|---|---|---|---|---|---|\n'
 for building in "${buildings[@]}"; do
     read -r kind photons impacts propagation maps < <(paper "$building")
     scene=$building.toml
     floors=()
     case $kind in *:*) floors=(--floors "${kind#*:}") ;; esac
-    rm -rf "$building".enf
+    [ -n "${KEEP:-}" ] || rm -rf "$building".enf
     "$bin/enfilade" building "${kind%:*}" "${floors[@]}" -o "$scene" --force >/dev/null
     "$bin/enf-partition" "$scene" -o "$building.enf" "${flags[@]}" --quiet --stats "$building.partition.json" >/dev/null
     "$bin/enf-grid" "$building.enf" "${flags[@]}" --quiet --stats "$building.grid.json" </dev/null >/dev/null
@@ -57,9 +66,9 @@ for building in "${buildings[@]}"; do
         -v mean="$(trace room_load_mean)" -v max="$(trace room_load_max)" -v never="$(trace rooms_never_loaded)" \
         -v rmin="$(trace reflections_min)" -v rmean="$(trace reflections_mean)" -v rmax="$(trace reflections_max)" \
         -v escaped="$(trace photons_escaped)" -v read="$(trace read_bytes)" -v written="$(trace written_bytes)" \
-        -v peak="$(trace peak_resident_bytes)" -v kpeak="$(kdtree peak_resident_bytes)" 'BEGIN {
-        printf "| %s | %.2f | %.1f (%s) | %.1f, %.1f (%s) | %.1f, %.1f (%s) | %.2f, %d, %d | %d, %.2f, %d | %.1f %% | %.0f, %.0f | %.0f, %.0f |\n", name, emitted / 1e6, stored / 1e6, impacts,
+        -v peak="$(trace peak_resident_bytes)" -v kpeak="$(kdtree peak_resident_bytes)" -v split="$(split "$building.trace.json"); $(split "$building.kdtree.json")" 'BEGIN {
+        printf "| %s | %.2f | %.1f (%s) | %.1f, %.1f (%s) | %.1f, %.1f (%s) | %.2f, %d, %d | %d, %.2f, %d | %.1f %% | %.0f, %.0f | %.0f, %.0f | %s |\n", name, emitted / 1e6, stored / 1e6, impacts,
             wall, cpu, propagation, kwall, kcpu, maps, mean, max, never, rmin, rmean, rmax, 100 * through / (stored + escaped), read / 1e6, written / 1e6,
-            peak / 1048576, kpeak / 1048576 }'
+            peak / 1048576, kpeak / 1048576, split }'
     [ -n "${KEEP:-}" ] || rm -rf "$building.enf" "$scene" "${scene%.toml}.meshes"
 done

@@ -60,13 +60,23 @@ impl Stats {
         keys.try_fold(first, |value, key| value.get(key))
     }
 
-    /// Takes over what a stage of a run reported: bytes and records add up, everything else is kept from the
-    /// first stage that says it.
+    /// Takes over what a stage of a run reported: bytes and records add up, of reserved memory the most counts, everything
+    /// else is kept from the first stage that says it.
     pub fn merge(&mut self, stage: &Value) {
         const SUMS: [&str; 4] =
             ["io.read_bytes", "io.written_bytes", "io.inflated_bytes", "io.spilled_records"];
+        const PEAK: &str = "peak_reserved_bytes";
+        const HELD: &str = "reserved_at_peak";
+        let reserved = |stats: Option<&Value>| stats?.get(PEAK)?.as_u64();
+        if let Some(peak) = reserved(stage.get("memory"))
+            && reserved(self.get("memory")).is_none_or(|before| before < peak)
+        {
+            self.set(&format!("memory.{PEAK}"), peak);
+            self.set(&format!("memory.{HELD}"), stage["memory"][HELD].clone());
+        }
         let mut leaves = Vec::new();
         flatten("", stage, &mut leaves);
+        leaves.retain(|(key, _)| !key.starts_with(&format!("memory.{HELD}")));
         for (key, value) in leaves {
             match self.get(&key) {
                 Some(before) if SUMS.contains(&key.as_str()) => {
@@ -188,6 +198,22 @@ mod tests {
         );
         assert_eq!(stats.get("io.deep.er"), Some(&Value::from("x")));
         assert_eq!((stats.get("io.none"), stats.get("none.x")), (None, None));
+    }
+
+    #[test]
+    fn a_run_adds_up_its_stages() {
+        let stage = |rooms: u64, read: u64, peak: u64, what: &str| {
+            serde_json::json!({
+                "rooms": rooms,
+                "io": { "read_bytes": read },
+                "memory": { "peak_reserved_bytes": peak, "reserved_at_peak": { what: peak } },
+            })
+        };
+        let mut run = Stats::default();
+        for stage in [stage(3, 10, 5, "mesh"), stage(4, 20, 9, "grid"), stage(5, 30, 7, "map")] {
+            run.merge(&stage);
+        }
+        assert_eq!(Value::Object(run.fields), stage(3, 60, 9, "grid"));
     }
 
     #[test]

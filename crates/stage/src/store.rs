@@ -1,6 +1,7 @@
 //! Where the store's words become a stage's: errors, the budget, the I/O counters.
 
 use enf_store::{BudgetError, IoCounters, MemoryBudget, Reservation, StoreError, format_bytes};
+use serde_json::Value;
 
 use crate::args::CommonArgs;
 use crate::failure::{ExitStatus, Failure, Result};
@@ -50,9 +51,12 @@ pub fn memory_budget(args: &CommonArgs) -> Result<(MemoryBudget, Reservation)> {
 }
 
 impl Stats {
-    /// `memory.peak_reserved_bytes`: the most that was ever reserved at once.
+    /// `memory.peak_reserved_bytes`: the most that was ever reserved at once; `memory.reserved_at_peak`: for what, bytes each.
     pub fn set_budget(&mut self, budget: &MemoryBudget) {
         self.set("memory.peak_reserved_bytes", budget.peak());
+        let holders = budget.peak_holders().into_iter();
+        let holders = holders.map(|(what, bytes)| (what.to_owned(), bytes.into()));
+        self.set("memory.reserved_at_peak", Value::Object(holders.collect()));
     }
 
     /// `io.read_bytes`, `io.written_bytes`, `io.inflated_bytes`: what the store counted since
@@ -100,8 +104,15 @@ mod tests {
         let before = IoCounters { read_bytes: 5, ..Default::default() };
         let now = IoCounters { read_bytes: 12, written_bytes: 3, inflated_bytes: 1 };
         stats.set_io(now, before);
-        stats.set_budget(&MemoryBudget::new(7));
+        let budget = MemoryBudget::new(7);
+        let (grid, mesh) = (budget.reserve(2, "grid").unwrap(), budget.reserve(4, "mesh").unwrap());
+        drop(grid);
+        let _more = budget.reserve(1, "more").unwrap();
+        stats.set_budget(&budget);
+        drop(mesh);
         assert_eq!(stats.get("io.read_bytes"), Some(&7u64.into()));
-        assert_eq!(stats.get("memory.peak_reserved_bytes"), Some(&0u64.into()));
+        assert_eq!(stats.get("memory.peak_reserved_bytes"), Some(&6u64.into()));
+        let held = serde_json::json!({ "grid": 2, "mesh": 4 });
+        assert_eq!(stats.get("memory.reserved_at_peak"), Some(&held));
     }
 }

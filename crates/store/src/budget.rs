@@ -20,10 +20,19 @@ pub struct MemoryBudget(Arc<Inner>);
 
 struct Inner {
     limit: u64,
+    /// Changed only under the lock of `holders`, read without.
     reserved: AtomicU64,
     peak: AtomicU64,
-    /// Bytes per holder, in order of first appearance. A few dozen entries.
-    holders: Mutex<Vec<(&'static str, u64)>>,
+    /// In order of first appearance. A few dozen entries.
+    holders: Mutex<Vec<Holder>>,
+}
+
+struct Holder {
+    what: &'static str,
+    /// Bytes held now.
+    now: u64,
+    /// Bytes held when the most was reserved in all.
+    at_peak: u64,
 }
 
 impl MemoryBudget {
@@ -69,34 +78,46 @@ impl MemoryBudget {
 
     /// Who holds how many bytes now, largest first, equals by name. Names that hold nothing are left out.
     pub fn holders(&self) -> Vec<(&'static str, u64)> {
-        let mut list: Vec<_> = self.0.holders.lock().iter().filter(|h| h.1 > 0).copied().collect();
+        self.list(|holder| holder.now)
+    }
+
+    /// Who held how many bytes when [`peak`](Self::peak) was reached, in the same order.
+    pub fn peak_holders(&self) -> Vec<(&'static str, u64)> {
+        self.list(|holder| holder.at_peak)
+    }
+
+    fn list(&self, bytes: impl Fn(&Holder) -> u64) -> Vec<(&'static str, u64)> {
+        let mut list: Vec<_> = self.0.holders.lock().iter().map(|h| (h.what, bytes(h))).collect();
+        list.retain(|h| h.1 > 0);
         list.sort_by(|a, b| b.1.cmp(&a.1).then(a.0.cmp(b.0)));
         list
     }
 
     fn take(&self, bytes: u64, what: &'static str) -> Result<(), BudgetError> {
-        let limit = self.0.limit;
-        let room = |now: u64| now.checked_add(bytes).filter(|&after| after <= limit);
-        let order = Ordering::Relaxed;
-        match self.0.reserved.fetch_update(order, order, room) {
-            Ok(before) => {
-                self.0.peak.fetch_max(before + bytes, order);
-                let mut holders = self.0.holders.lock();
-                match holders.iter_mut().find(|h| h.0 == what) {
-                    Some(holder) => holder.1 += bytes,
-                    None => holders.push((what, bytes)),
-                }
-                Ok(())
-            }
-            Err(now) => Err(self.refusal(bytes, what, limit.saturating_sub(now))),
+        let mut holders = self.0.holders.lock();
+        let now = self.reserved();
+        let Some(after) = now.checked_add(bytes).filter(|&after| after <= self.0.limit) else {
+            drop(holders);
+            return Err(self.refusal(bytes, what, self.0.limit.saturating_sub(now)));
+        };
+        match holders.iter_mut().find(|h| h.what == what) {
+            Some(holder) => holder.now += bytes,
+            None => holders.push(Holder { what, now: bytes, at_peak: 0 }),
         }
+        self.0.reserved.store(after, Ordering::Relaxed);
+        if after > self.peak() {
+            self.0.peak.store(after, Ordering::Relaxed);
+            holders.iter_mut().for_each(|h| h.at_peak = h.now);
+        }
+        Ok(())
     }
 
     fn give_back(&self, bytes: u64, what: &'static str) {
-        if let Some(holder) = self.0.holders.lock().iter_mut().find(|h| h.0 == what) {
-            holder.1 -= bytes;
+        let mut holders = self.0.holders.lock();
+        if let Some(holder) = holders.iter_mut().find(|h| h.what == what) {
+            holder.now -= bytes;
         }
-        self.0.reserved.fetch_sub(bytes, Ordering::Relaxed);
+        self.0.reserved.store(self.reserved() - bytes, Ordering::Relaxed);
     }
 
     fn refusal(&self, needed: u64, what: &'static str, available: u64) -> BudgetError {
@@ -564,7 +585,11 @@ mod tests {
                     _ => {}
                 }
                 let now: u64 = held.iter().map(|h| h.1.bytes()).sum();
-                peak = now.max(peak);
+                if now > peak {
+                    peak = now;
+                    prop_assert_eq!(budget.peak_holders(), budget.holders());
+                }
+                prop_assert_eq!(budget.peak_holders().iter().map(|h| h.1).sum::<u64>(), peak);
                 prop_assert_eq!(budget.reserved(), now);
                 prop_assert_eq!(budget.available(), 1000 - now);
                 prop_assert_eq!(budget.peak(), peak);

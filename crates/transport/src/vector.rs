@@ -71,7 +71,7 @@ fn clear_of_edges(
         twice / around,
         (corners[0] * lengths[0] + corners[1] * lengths[1] + corners[2] * lengths[2]) / around,
     );
-    if !(radius > 0.0) {
+    if radius.is_nan() || radius <= 0.0 {
         return point;
     }
     let inner = corners.map(|p| centre + (p - centre) * (1.0 - margin / radius).max(0.5));
