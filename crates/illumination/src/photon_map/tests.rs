@@ -379,7 +379,7 @@ fn edges_and_corners_are_not_dark() {
 #[test]
 fn small_things_have_their_irradiance_or_are_vague() {
     let mut r = Random(321);
-    let mut asked = |photons: &[PhotonRecord], at: [f32; 2], k: u32| {
+    let asked = |photons: &[PhotonRecord], at: [f32; 2], k: u32| {
         let gather = Gather { photons: k, radius: 0.6, kernel: Kernel::Constant };
         let at = Vec3::new(at[0], at[1], 0.0);
         ask(&blob(photons, 0.6), at, Vec3::Z, &gather, &PortalSet::none())
@@ -398,7 +398,7 @@ fn small_things_have_their_irradiance_or_are_vague() {
         // One varies by a fifth: 4 deviations of the mean are 0.05.
         assert!(mean > limits.0 && mean < limits.1, "at {at:?}: {mean}");
     }
-    let mut vague =
+    let vague =
         |name: &str, at: [f32; 2], k: u32, photons: &mut dyn FnMut() -> Vec<PhotonRecord>| {
             let count = (0..runs).filter(|_| asked(&photons(), at, k).vague).count();
             println!("{name}: {count} of {runs}");
@@ -419,13 +419,23 @@ fn small_things_have_their_irradiance_or_are_vague() {
         all.extend(moved(field(60, [0.1, 0.1], &mut r), [0.95, 0.95]));
         all
     };
-    assert_eq!(vague("a bright spot", [1.0, 1.0], 120, &mut spot), 1.0);
+    assert!(vague("a bright spot", [1.0, 1.0], 120, &mut spot) > 0.9);
     let mut slats = || {
         (0..5)
-            .flat_map(|i| moved(field(60, [0.1, 2.0], &mut r), [0.6 + 0.3 * i as f32, 0.0]))
+            .flat_map(|i| moved(field(300, [0.1, 2.0], &mut r), [0.6 + 0.3 * i as f32, 0.0]))
             .collect()
     };
-    assert!(vague("slats", [1.25, 1.0], 120, &mut slats) > 0.2);
+    // The nearest ones are close to the end of the disc.
+    assert!(vague("slats", [1.25, 1.0], 120, &mut slats) > 0.4);
+    let mut swarm = || {
+        (0..36)
+            .flat_map(|i| {
+                let by = [0.24 * (i % 6) as f32, 0.24 * (i / 6) as f32];
+                moved(field(30, [0.12, 0.1], &mut r), by)
+            })
+            .collect()
+    };
+    assert!(vague("a swarm", [0.75, 0.75], 120, &mut swarm) > 0.95);
     for (name, at) in [("floor", [1.0, 1.0]), ("floor's edge", [1.0, 0.0]), ("near it", [1.0, 0.1])]
     {
         for k in [30, 120, 500] {
