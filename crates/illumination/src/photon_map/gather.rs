@@ -433,7 +433,7 @@ const FEWEST_TELLING: usize = 4 * SECTOR_PHOTONS;
 const VAGUE_PART: f64 = 0.4;
 /// Photons crowd if their numbers in cells vary by more than chance and edges explain: by so many standard deviations of chance,
 const UNEVEN_DEVIATIONS: f64 = 4.0;
-/// and as much as if this part of the disc's area were missing once more, besides what edges cut off.
+/// and by more than if a good fifth of the area had none: by this, over the mean, when squared.
 const UNEVEN_AREA: f64 = 0.3;
 
 /// How much of a disc there is: at the edge of a table, or where the floor meets the wall, a disc goes on and the surface
@@ -523,20 +523,28 @@ impl Lit {
         (self.sectors > 0 && told as usize >= self.sectors * SECTOR_PHOTONS).then_some(told)
     }
 
-    /// Whether most of the disc is not there, or photons crowd in parts of it: it lies over several small things, or one and
-    /// what is about it. Numbers of evenly spread photons vary by their mean (they are Poisson's); if a part of all cells is
-    /// empty, by the square of the mean more, times that part over the rest.
+    /// Whether most of the disc is not there, or photons crowd in parts of what is there: it lies over several small things, or
+    /// one and what is about it. In even light their numbers are Poisson's: the squares of what they differ from their
+    /// means by are, on average, the means.
     fn is_vague(&self, r2: f64) -> bool {
         let Some(told) = self.told() else { return false };
-        let part = self.share(r2, Kernel::Constant);
-        let cells = self.sectors / 2 * RINGS;
-        let mean = f64::from(told) / cells as f64;
-        // Cells that are not used are zero.
-        let squares: u64 = self.cells.iter().map(|&n| u64::from(n) * u64::from(n)).sum();
-        let variance = (squares as f64 - mean * f64::from(told)) / (cells - 1) as f64;
-        let excess = variance / mean - 1.0 - mean * (1.0 / part - 1.0);
-        let chance = UNEVEN_DEVIATIONS * (2.0 / (cells - 1) as f64).sqrt();
-        part < VAGUE_PART || excess > chance.max(UNEVEN_AREA * mean)
+        let columns = self.sectors / 2;
+        // How much of each cell is there: a column is two sectors.
+        let mut there = [0.0f64; MOST_CELLS];
+        for (i, &(photons, farthest)) in self.sector[..self.sectors].iter().enumerate() {
+            let photons = f64::from(photons.max(1));
+            let end = Kernel::Constant.part(f64::from(f32::from_bits(farthest)) / r2, photons);
+            for ring in 0..RINGS {
+                let cell = ring * MOST_SECTORS / 2 + (i & (columns - 1));
+                there[cell] += 0.5 * (end * RINGS as f64 - ring as f64).clamp(0.0, 1.0);
+            }
+        }
+        let area: f64 = there.iter().sum();
+        let density = f64::from(told) / area;
+        let off = |(&n, &part): (&u16, &f64)| (f64::from(n) - density * part).powi(2);
+        let excess = self.cells.iter().zip(&there).map(off).sum::<f64>() / f64::from(told) - 1.0;
+        let chance = UNEVEN_DEVIATIONS * (2.0 / area).sqrt();
+        area < VAGUE_PART * (columns * RINGS) as f64 || excess > chance.max(UNEVEN_AREA * density)
     }
 
     /// The part of the disc, weighted with the kernel.
