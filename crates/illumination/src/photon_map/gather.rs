@@ -27,6 +27,9 @@ pub const SLAB_SLOPE: f32 = 0.25;
 pub const SLAB_FLOOR_RADII: f32 = 0.02;
 /// but the latter by no more than this, m.
 pub const SLAB_FLOOR_M: f32 = 0.01;
+/// Fewest photons that end the disc where they end, when there are not as many as were looked for: fewer might be close to
+/// each other by chance, and too bright.
+pub const ENDING_PHOTONS: usize = 8;
 /// The disc that flux is divided by has at least this radius, as a part of the largest,
 pub const SMALLEST_DISC_RADII: f32 = 1e-3;
 /// or this one, m, if that is smaller: photons in one spot are no infinity.
@@ -66,6 +69,9 @@ pub struct Irradiance {
     pub photons: u32,
     /// Radius of the disc that they fill, m; 0 if there are none.
     pub radius: f32,
+    /// Whether the disc says little about the point: it has hardly a photon, or is mostly not there, or its photons crowd in
+    /// the middle or about it. So it is on things that are smaller than the disc, on bars and slats, and where light ends.
+    pub vague: bool,
 }
 
 /// Working memory of one thread that gathers; use it again and again.
@@ -118,7 +124,7 @@ impl GatherScratch {
     }
 }
 
-/// The nearest photons, the farthest of them first if there are as many as were looked for, the others in no order.
+/// The nearest photons, the farthest of them first, the others in no order.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest<'a> {
     notes: &'a Notes,
@@ -171,9 +177,10 @@ impl PhotonMap<'_> {
     /// Irradiance on the front of a surface at `point` (m) with unit `normal`, from the nearest photons
     /// that count (see above).
     ///
-    /// If `k` photons are found within the radius, the farthest gives the disc and the others the flux
-    /// (this form is unbiased in a uniform field); if fewer, all count and the disc has the full
-    /// radius. No photon, no light: all zero. So it is for points, normals or radii that are no numbers.
+    /// The farthest of the photons that are found gives the disc and the others the flux (this form is unbiased in a uniform
+    /// field, whether the `k`-th or the last within the radius is the farthest); if they are fewer than `k` and
+    /// than [`ENDING_PHOTONS`], all count and the disc has the full radius. No photon, no light: all zero. So it is for
+    /// points, normals or radii that are no numbers.
     ///
     /// `portals` are all openings of the map's room. The result's bits depend on the room's photons,
     /// not on the tree, nor on which of the photons are halo as long as they are visible.
@@ -334,11 +341,11 @@ fn estimate(
 ) -> Irradiance {
     let (found, distances) = (notes.photons(), notes.distances2());
     if found.is_empty() {
-        return Irradiance::default();
+        return Irradiance { vague: true, ..Irradiance::default() };
     }
     let smallest = SMALLEST_DISC_M.min(SMALLEST_DISC_RADII * largest_radius);
     let (mut radius, mut skipped) = (largest_radius, 0);
-    if notes.is_full() {
+    if notes.is_full() || found.len() >= ENDING_PHOTONS {
         // The first is the farthest photon: it gives the disc, unless the disc has a size anyway.
         let farthest = f32::from_bits(distances[0]).sqrt();
         radius = farthest.max(smallest);
@@ -348,7 +355,7 @@ fn estimate(
     let (r, r2) = (f64::from(radius), f64::from(radius) * f64::from(radius));
     // Photons in one spot have no edges.
     let enough = if radius > smallest { found.len() } else { 0 };
-    let mut lit = Lit::new(enough, normal);
+    let mut lit = Lit::new(enough, normal, r2);
     let mut exponent = 0;
     for (&number, &d2) in found.iter().zip(distances) {
         let (block, i) = map.place(number);
@@ -383,10 +390,12 @@ fn estimate(
     }
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
     let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
+    let few = !notes.is_full() && found.len() < FEWEST_TELLING;
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
         photons: notes.photons().len() as u32,
         radius,
+        vague: few || lit.is_vague(r2),
     }
 }
 
@@ -418,6 +427,15 @@ impl Kernel {
     }
 }
 
+/// Fewer photons than these, when there are no more within the radius, are too few to tell anything.
+const FEWEST_TELLING: usize = 4 * SECTOR_PHOTONS;
+/// A smaller part of a disc is vague: less than is there at a straight edge, by what it may vary.
+const VAGUE_PART: f64 = 0.4;
+/// Photons crowd if their numbers in cells vary by more than chance and edges explain: by so many standard deviations of chance,
+const UNEVEN_DEVIATIONS: f64 = 4.0;
+/// and by more than if a good fifth of the area had none: by this, over the mean, when squared.
+const UNEVEN_AREA: f64 = 0.3;
+
 /// How much of a disc there is: at the edge of a table, or where the floor meets the wall, a disc goes on and the surface
 /// does not, and flux over the disc's area is too little.
 ///
@@ -432,17 +450,25 @@ struct Lit {
     tangents: [Vec3; 2],
     /// Photons, and the bits of the farthest one's squared distance, m².
     sector: [(u32, u32); MOST_SECTORS],
+    /// Cells of equal area: parts of [`RINGS`] rings.
+    cells: [u16; MOST_CELLS],
+    /// Rings over the squared radius.
+    rings: f64,
 }
 
 /// Sectors of a disc at most.
 const MOST_SECTORS: usize = 32;
+/// Rings about the point, each of a quarter of the disc's area.
+const RINGS: usize = 4;
+/// Cells at most: a ring has half as many as there are sectors.
+const MOST_CELLS: usize = MOST_SECTORS / 2 * RINGS;
 /// Fewest photons of a sector, on average.
 const SECTOR_PHOTONS: usize = 7;
 /// No less than this part of a disc is there: as much as in the corner of a box.
 const LEAST_PART: f64 = 0.25;
 
 impl Lit {
-    fn new(photons: usize, normal: Vec3) -> Self {
+    fn new(photons: usize, normal: Vec3, r2: f64) -> Self {
         let mut sectors = MOST_SECTORS;
         while sectors >= 4 && photons < sectors * SECTOR_PHOTONS {
             sectors /= 2;
@@ -456,7 +482,13 @@ impl Lit {
             Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
             Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
         ];
-        Self { sectors, tangents, sector: [(0, 0); MOST_SECTORS] }
+        Self {
+            sectors,
+            tangents,
+            sector: [(0, 0); MOST_SECTORS],
+            cells: [0; MOST_CELLS],
+            rings: RINGS as f64 / r2,
+        }
     }
 
     #[inline]
@@ -480,12 +512,44 @@ impl Lit {
         let (photons, farthest) = &mut self.sector[sector];
         *photons += 1;
         *farthest = d2.max(*farthest);
+        let ring = ((f64::from(f32::from_bits(d2)) * self.rings) as usize).min(RINGS - 1);
+        let cell = &mut self.cells[ring * MOST_SECTORS / 2 + (sector & (self.sectors / 2 - 1))];
+        *cell = cell.saturating_add(1);
+    }
+
+    /// Photons, if they are enough to tell.
+    fn told(&self) -> Option<u32> {
+        let told = self.sector.iter().map(|s| s.0).sum();
+        (self.sectors > 0 && told as usize >= self.sectors * SECTOR_PHOTONS).then_some(told)
+    }
+
+    /// Whether most of the disc is not there, or photons crowd in parts of what is there: it lies over several small things, or
+    /// one and what is about it. In even light their numbers are Poisson's: the squares of what they differ from their
+    /// means by are, on average, the means.
+    fn is_vague(&self, r2: f64) -> bool {
+        let Some(told) = self.told() else { return false };
+        let columns = self.sectors / 2;
+        // How much of each cell is there: a column is two sectors.
+        let mut there = [0.0f64; MOST_CELLS];
+        for (i, &(photons, farthest)) in self.sector[..self.sectors].iter().enumerate() {
+            let photons = f64::from(photons.max(1));
+            let end = Kernel::Constant.part(f64::from(f32::from_bits(farthest)) / r2, photons);
+            for ring in 0..RINGS {
+                let cell = ring * MOST_SECTORS / 2 + (i & (columns - 1));
+                there[cell] += 0.5 * (end * RINGS as f64 - ring as f64).clamp(0.0, 1.0);
+            }
+        }
+        let area: f64 = there.iter().sum();
+        let density = f64::from(told) / area;
+        let off = |(&n, &part): (&u16, &f64)| (f64::from(n) - density * part).powi(2);
+        let excess = self.cells.iter().zip(&there).map(off).sum::<f64>() / f64::from(told) - 1.0;
+        let chance = UNEVEN_DEVIATIONS * (2.0 / area).sqrt();
+        area < VAGUE_PART * (columns * RINGS) as f64 || excess > chance.max(UNEVEN_AREA * density)
     }
 
     /// The part of the disc, weighted with the kernel.
     fn share(&self, r2: f64, kernel: Kernel) -> f64 {
-        let told: u32 = self.sector.iter().map(|s| s.0).sum();
-        if self.sectors == 0 || (told as usize) < self.sectors * SECTOR_PHOTONS {
+        if self.told().is_none() {
             return 1.0;
         }
         let part = |&(photons, farthest): &(u32, u32)| {
