@@ -302,10 +302,10 @@ fn bands_that_are_under_way_together() {
                 assert_eq!(number(&stats, key), number(first, key), "variant {i}: {key}");
             }
         }
-        if partition.is_empty() {
-            continue;
+        // One that was killed may have had little left to do.
+        if !partition.is_empty() && !killed {
+            assert!(number(&stats, "table.spilled_blocks") > 0.0, "the table was never full");
         }
-        assert!(number(&stats, "table.spilled_blocks") > 0.0, "the table was never full");
     }
 }
 

@@ -389,6 +389,17 @@ impl Driver<'_> {
         self.scheduler.total() - self.state.launches.values().sum::<u64>()
     }
 
+    /// Whether more is ready than the threads are given at a time.
+    fn is_busy(&self) -> bool {
+        let enough = self.manner.jobs * self.context.job_rays;
+        let ready = self.tiles.residents().filter(|&tile| self.is_ready(tile));
+        let mut rays = 0;
+        ready.map(|tile| self.scheduler.pending(tile)).any(|pending| {
+            rays += pending;
+            rays > enough
+        })
+    }
+
     /// Rays that wait at a tile, those to be sent off apart.
     fn parked(&self, tile: u32) -> u64 {
         self.scheduler.pending(tile) - self.state.launches.get(&tile).copied().unwrap_or(0)
@@ -555,6 +566,10 @@ impl Driver<'_> {
             };
             let next = self.scheduler.next_load(self.tiles.recent(), &self.neighbours, &comes);
             let Some(tile) = next else { return Ok(()) };
+            // As long as there is enough to do, a tile where little waits is left for more to come there.
+            if stays && self.scheduler.pending(tile) < self.context.job_rays && self.is_busy() {
+                break;
+            }
             if !self.ask(tile)? {
                 break;
             }
