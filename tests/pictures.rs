@@ -6,6 +6,9 @@ mod common;
 
 use common::{Model, bin, fails, furnace, json, number, ok};
 use enf_image::{Loaded, read_exr};
+use enf_layout::segment::{ExtentKind, StageKind};
+use enf_store::{StageReader, StoreDir};
+use serde_json::Value;
 use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
@@ -270,6 +273,74 @@ fn the_same_bits() {
             Some(seen) => assert!(*seen == bytes, "variant {i} makes other pictures"),
         }
     }
+}
+
+/// Two views of three bands, with one tile in memory or all of them, with a table that is full at once or never, and killed on the way:
+/// the same bits. Bands are under way together, and their rays lie in one log.
+#[test]
+fn bands_that_are_under_way_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = common::furnished(dir.path());
+    let small = ["--queue-rows", "3", "--queue-block", "200", "--resident-rooms", "1"];
+    let roomy = ["--memory", "1G"];
+    let tight = ["--memory", "56M"];
+    let variants: [(&[&str], &[&str], &str, bool); 5] = [
+        (&[], &roomy, "1", false),
+        (&[], &tight, "4", false),
+        (&["--tile-triangles", "300"], &small, "2", false),
+        (&["--tile-triangles", "300"], &small, "4", true),
+        (&[], &["--schedule", "most-work"], "2", false),
+    ];
+    let mut seen: Option<(Vec<Vec<u8>>, Value)> = None;
+    for (i, (partition, flags, threads, killed)) in variants.into_iter().enumerate() {
+        let store = light(&scene, "3k", partition);
+        let out = dir.path().join(format!("out-{i}"));
+        let stats = dir.path().join("stats.json");
+        let command = || {
+            let mut command = bin("enf-render");
+            command.arg(&store).arg("-o").arg(&out).arg("--stats").arg(&stats);
+            command.args(["--quiet", "--all-rooms", "--view", "door", "--view", "hall"]);
+            command.args(["--width", "224", "--height", "160", "--samples", "4"]);
+            command.args(["--noise", "0.3", "--formats", "exr", "--threads", threads]);
+            command.args(flags);
+            command
+        };
+        if killed {
+            let mut child = command().spawn().unwrap();
+            // Until a band is written; the others are then on their way.
+            while child.try_wait().unwrap().is_none() && !is_a_band_written(&store) {
+                std::thread::sleep(std::time::Duration::from_millis(2));
+            }
+            let _ = child.kill();
+            child.wait().unwrap();
+        }
+        ok(&mut command());
+        let stats = json(&stats);
+        let bytes: Vec<_> =
+            ["door.exr", "hall.exr"].iter().map(|f| std::fs::read(out.join(f)).unwrap()).collect();
+        let Some((pictures, first)) = &seen else {
+            seen = Some((bytes, stats));
+            continue;
+        };
+        assert!(*pictures == bytes, "variant {i} makes other pictures");
+        if !killed {
+            for key in ["rays_camera", "rays_shadow", "rays_gather", "light_outside_sets_share"] {
+                assert_eq!(number(&stats, key), number(first, key), "variant {i}: {key}");
+            }
+        }
+        // One that was killed may have had little left to do.
+        if !partition.is_empty() && !killed {
+            assert!(number(&stats, "table.spilled_blocks") > 0.0, "the table was never full");
+        }
+    }
+}
+
+/// Whether a band of a picture is written.
+fn is_a_band_written(store: &Path) -> bool {
+    let found = StoreDir::open(store)
+        .and_then(|store| StageReader::open_unsealed(&store, StageKind::Render))
+        .map(|reader| !reader.find(ExtentKind::Film, 0).is_empty());
+    found.unwrap_or(false)
 }
 
 /// A plan and a panorama of two rooms: depths are heights below the cut and distances to walls, and rooms are where they are.

@@ -56,7 +56,8 @@ impl Shader<'_> {
             (0..0, 0.0)
         };
         if record.bounce == 0 {
-            self.film.add_gather_rays(self.film_pixel(record), rays.end - rays.start);
+            let (film, pixel) = self.film_of(record);
+            film.add_gather_rays(pixel, rays.end - rays.start);
         }
         let flux = throughput * lobes.diffuse * weight;
         for index in rays {

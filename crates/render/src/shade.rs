@@ -31,6 +31,7 @@ use enf_transport::vector;
 use glam::Vec3;
 
 use crate::Indirect;
+use crate::bands::{self, Films, Lives};
 use crate::camera::{self, View};
 use crate::caustics::Caustics;
 use crate::daylight;
@@ -47,6 +48,8 @@ const MARK_SECOND_HALF: u16 = 1;
 const MARK_NO_HALF: u16 = 2;
 /// A gather ray's shadow ray, whose path began at what is seen after a bounce.
 const MARK_LATER: u16 = 4;
+/// A shadow ray to a light outside the room's set.
+const MARK_OUTSIDE: u16 = 8;
 
 /// Steps of the five-dimensional Kronecker sequence (Roberts 2018: powers of 1/1.13472...), as 32-bit fractions.
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
@@ -87,8 +90,8 @@ impl Waiting {
 
 /// What a job is made of.
 pub(crate) enum Work {
-    /// New camera rays: samples `indices` of the band, pixel by pixel.
-    Camera { indices: Range<u64> },
+    /// New camera rays of a pass over a band, which begins with `first_pixel`: samples `indices`, pixel by pixel.
+    Camera { first_pixel: u32, pass: Pass, indices: Range<u64> },
     /// Rays that came from another tile.
     Waiting { records: Arc<Waiting>, range: Range<usize> },
 }
@@ -97,11 +100,8 @@ pub(crate) enum Work {
 pub(crate) struct Job {
     pub(crate) tile: Arc<TileData>,
     pub(crate) light: Arc<RoomLight>,
-    pub(crate) film: Arc<Film>,
-    /// First pixel of the band.
-    pub(crate) first_pixel: u32,
-    /// Where the band is at.
-    pub(crate) pass: Pass,
+    /// Of all bands whose rays there are.
+    pub(crate) films: Arc<Films>,
     pub(crate) work: Work,
 }
 
@@ -114,21 +114,67 @@ pub(crate) enum Pass {
     More(Arc<Vec<u64>>),
 }
 
+/// Rays on their way to another tile.
+pub(crate) struct Parked {
+    pub(crate) tile: u32,
+    pub(crate) records: Vec<TransitRecord>,
+    /// Whether some are no shadow rays: they will ask the room.
+    pub(crate) lit: bool,
+}
+
 /// What came of a job.
 #[derive(Default)]
 pub(crate) struct Products {
-    pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
+    /// The job's tile.
+    pub(crate) tile: u32,
+    pub(crate) parked: Vec<Parked>,
+    /// Rays of each band that are more, or fewer, than before.
+    pub(crate) lives: Lives,
     pub(crate) camera: u64,
     pub(crate) shadow: u64,
     /// Gather rays; without final gathering, estimates.
     pub(crate) gathers: u64,
+    pub(crate) found: Found,
+}
+
+/// Light that shadow rays have found, for the report: sums of luminance in steps of 2^-20 W/m²/sr, so that no order matters.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Found {
+    /// All of it.
+    pub(crate) all: u128,
+    /// From lights outside the set of the room that it falls on.
+    pub(crate) outside: u128,
+}
+
+impl Found {
+    fn add(&mut self, luminance: f32, outside: bool) {
+        // What is no number is none.
+        let steps = (f64::from(luminance) * f64::from(1 << 20)).round() as u128;
+        self.all += steps;
+        self.outside += if outside { steps } else { 0 };
+    }
+
+    /// Adds what others have found.
+    pub(crate) fn add_all(&mut self, other: Self) {
+        self.all += other.all;
+        self.outside += other.outside;
+    }
+
+    /// The share from outside the sets.
+    pub(crate) fn share(&self) -> f64 {
+        self.outside as f64 / self.all.max(1) as f64
+    }
 }
 
 impl Products {
     fn park(&mut self, tile: u32, record: TransitRecord) {
-        match self.parked.iter_mut().rfind(|lane| lane.0 == tile) {
-            Some(lane) => lane.1.push(record),
-            None => self.parked.push((tile, vec![record])),
+        let lit = record.flags & TRANSIT_SHADOW == 0;
+        match self.parked.iter_mut().rfind(|lane| lane.tile == tile) {
+            Some(lane) => {
+                lane.records.push(record);
+                lane.lit |= lit;
+            }
+            None => self.parked.push(Parked { tile, records: vec![record], lit }),
         }
     }
 }
@@ -216,8 +262,7 @@ pub(crate) struct Shader<'a> {
     pub(crate) portals: PortalSet<'a>,
     lights: &'a [(u32, f32)],
     sun: bool,
-    pub(crate) film: &'a Film,
-    first_pixel: u32,
+    films: &'a Films,
 }
 
 impl Context<'_> {
@@ -255,8 +300,8 @@ impl Context<'_> {
     }
 
     /// A camera ray of a job.
-    fn seen(&self, job: &Job, index: u64) -> TransitRecord {
-        let (pixel, sample) = match &job.pass {
+    fn seen(&self, first_pixel: u32, pass: &Pass, index: u64) -> TransitRecord {
+        let (pixel, sample) = match pass {
             Pass::All => {
                 let samples = u64::from(self.samples);
                 ((index / samples) as u32, (index % samples) as u32)
@@ -266,7 +311,7 @@ impl Context<'_> {
                 (pixel as u32, self.samples + (index - before[pixel]) as u32)
             }
         };
-        let pixel = job.first_pixel + pixel;
+        let pixel = first_pixel + pixel;
         let (view, local) = self.pixel(pixel);
         let u = rng::uniforms(self.seed, Purpose::Camera, local, 0, 0, 0);
         let (dx, dy) = camera::place(sample, [u[0], u[1]]);
@@ -335,21 +380,24 @@ impl Context<'_> {
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
             sun: job.light.sun,
-            film: &job.film,
-            first_pixel: job.first_pixel,
+            films: &job.films,
         };
-        let mut products = Products::default();
+        let mut products = Products { tile: job.tile.tile, ..Products::default() };
         match &job.work {
             Work::Waiting { records, range } => {
-                let mut waiting = records.records()[range.clone()].iter();
+                let records = &records.records()[range.clone()];
+                products.lives.add_all(records, -1);
+                let mut waiting = records.iter();
                 shader.follow_all(scratch, &mut products, |_| waiting.next().copied());
             }
-            Work::Camera { indices } => {
+            Work::Camera { first_pixel, pass, indices } => {
+                let rays = (indices.end - indices.start) as i64;
+                products.lives.add(bands::band_of(*first_pixel), -rays);
                 let mut indices = indices.clone();
                 shader.follow_all(scratch, &mut products, |products| {
                     // An eye in a doorway, and a plan, have rays that start elsewhere.
                     indices.by_ref().find_map(|index| {
-                        let record = self.seen(job, index);
+                        let record = self.seen(*first_pixel, pass, index);
                         products.camera += 1;
                         let tile = shader.tile_of(record.leaf);
                         if self.is_cut(&record) {
@@ -364,30 +412,34 @@ impl Context<'_> {
                 });
             }
         }
+        let Products { parked, lives, .. } = &mut products;
+        parked.iter().for_each(|lane| lives.add_all(&lane.records, 1));
         Ok(products)
     }
 }
 
 impl Shader<'_> {
-    pub(crate) fn film_pixel(&self, record: &TransitRecord) -> u32 {
-        record.light - self.first_pixel
+    /// The film that a ray's light is for, and the pixel there.
+    #[inline]
+    pub(crate) fn film_of(&self, record: &TransitRecord) -> (&Film, u32) {
+        self.films.of(record.light)
     }
 
     /// Adds radiance that came straight from a light.
     fn add_direct(&self, record: &TransitRecord, radiance: Vec3) {
-        let pixel = self.film_pixel(record);
-        self.film.add_direct(pixel, radiance.to_array());
-        self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+        let (film, pixel) = self.film_of(record);
+        film.add_direct(pixel, radiance.to_array());
+        film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
     }
 
     /// Adds radiance that came over other surfaces.
     pub(crate) fn add_indirect(&self, record: &TransitRecord, radiance: Vec3) {
-        let pixel = self.film_pixel(record);
+        let (film, pixel) = self.film_of(record);
         if self.is_gathered_first(record) {
-            self.film.add_gathered(pixel, radiance.to_array());
+            film.add_gathered(pixel, radiance.to_array());
         } else {
-            self.film.add_indirect(pixel, radiance.to_array());
-            self.film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
+            film.add_indirect(pixel, radiance.to_array());
+            film.add_noise(pixel, self.sign(record) * vector::luminance(radiance));
         }
     }
 
@@ -533,19 +585,20 @@ impl Shader<'_> {
         let lobes = scatter::lobes(material, &flight::met(&self.tile, record, &hit, &surface));
         if record.flags & TRANSIT_GATHER != 0 {
             if record.bounce == 0 {
-                self.film.add_nearness(self.film_pixel(record), 1.0 / hit.t.max(NEAREST_M));
+                let (film, pixel) = self.film_of(record);
+                film.add_nearness(pixel, 1.0 / hit.t.max(NEAREST_M));
             }
             if lobes.diffuse != Vec3::ZERO {
                 self.gathered(record, &surface, &lobes, hit.t, scratch, products);
             }
             return self.go_on_here(record, &surface, &lobes, hit.t, scratch, products);
         }
-        let pixel = self.film_pixel(record);
         if record.bounce == 0 {
+            let (film, pixel) = self.film_of(record);
             let albedo = lobes.diffuse.to_array();
-            self.film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
+            film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
             if record.photon == 0 {
-                self.film.set_room(pixel, self.room + 1);
+                film.set_room(pixel, self.room + 1);
             }
         }
         if surface.front {
@@ -846,8 +899,9 @@ impl Shader<'_> {
             };
             let light = &all[chosen as usize];
             let mut probability = global * power_of(context.power, chosen as usize);
+            let known = self.lights.binary_search_by_key(&chosen, |l| l.0);
             if total > 0.0
-                && let Ok(at) = self.lights.binary_search_by_key(&chosen, |l| l.0)
+                && let Ok(at) = known
             {
                 let weight = self.lights[at].1 * self.importance(light, surface);
                 probability += (1.0 - global) * weight / total;
@@ -879,7 +933,8 @@ impl Shader<'_> {
                 None => 1.0,
             };
             let reflected = reflected(sample.direction, &share);
-            self.ask(record, surface, reflected, &sample, scratch, products);
+            let mark = if known.is_err() { MARK_OUTSIDE } else { 0 };
+            self.ask(record, surface, reflected, &sample, mark, scratch, products);
         }
         if let (Some(daylight), true) = (context.daylight, self.sun) {
             // The sun is in one place: it is asked for on its own, for little else is seen beside it otherwise.
@@ -890,18 +945,20 @@ impl Shader<'_> {
             let at = [place(0, s[2]), place(1, s[3])];
             if let Some(sample) = daylight::sun(daylight, surface, at) {
                 let reflected = reflected(sample.direction, &|_| 1.0);
-                self.ask(record, surface, reflected, &sample, scratch, products);
+                self.ask(record, surface, reflected, &sample, 0, scratch, products);
             }
         }
     }
 
     /// Sends a shadow ray after a sample.
+    #[expect(clippy::too_many_arguments)]
     fn ask(
         &self,
         record: &TransitRecord,
         surface: &Surface,
         reflected: Vec3,
         sample: &Sample,
+        mark: u16,
         scratch: &mut Scratch,
         products: &mut Products,
     ) {
@@ -918,7 +975,7 @@ impl Shader<'_> {
             leaf: self.tile.bsp.locate_towards(origin.as_dvec3(), direction.as_dvec3()),
             light: record.light,
             photon: sample.distance.to_bits(),
-            bounce: self.marks(record),
+            bounce: self.marks(record) | mark,
             flags: TRANSIT_SHADOW | record.flags & TRANSIT_GATHER,
             last_triangle: surface.triangle,
             impacts: sample.triangle,
@@ -1012,6 +1069,7 @@ impl Shader<'_> {
             }
         }
         let flux = Vec3::from(record.flux);
+        products.found.add(vector::luminance(flux), record.bounce & MARK_OUTSIDE != 0);
         if record.flags & TRANSIT_GATHER == 0 {
             self.add_direct(record, flux);
         } else {

@@ -100,13 +100,9 @@ impl Window {
         Some(())
     }
 
-    /// Smooths a band between those before and after it, as far as there are any, and moves on; `None` where there is no
+    /// A band between those before and after it, as far as there are any, ready to be smoothed; moves on. `None` where there is no
     /// band, or it was written before.
-    pub(crate) fn take(
-        &mut self,
-        context: &Context<'_>,
-        args: &RenderArgs,
-    ) -> Option<(u32, Vec<PixelRecord>)> {
+    pub(crate) fn take(&mut self, args: &RenderArgs) -> Option<Smoothing> {
         let current = self.current.take()?;
         let after = self.next.as_ref().map_or(0, |next| next.records.len().min(self.margin));
         let smoothed = current.write.then(|| {
@@ -122,12 +118,37 @@ impl Window {
             }
             let first_pixel = current.band * BAND_PIXELS - first as u32;
             let share = args.gather_smoothing;
-            (current.band, smooth(context, first_pixel, &records, &gathered, first..end, share))
+            Smoothing {
+                band: current.band,
+                first_pixel,
+                records,
+                gathered,
+                range: first..end,
+                share,
+            }
         });
         let from = current.records.len().saturating_sub(self.margin);
         self.before = (current.records[from..].to_vec(), current.gathered[from..].to_vec());
         self.current = self.next.take();
         smoothed
+    }
+}
+
+/// A band that can be smoothed, with what lies about it: work for any thread.
+pub(crate) struct Smoothing {
+    band: u32,
+    first_pixel: u32,
+    records: Vec<PixelRecord>,
+    gathered: Vec<Gathered>,
+    range: Range<usize>,
+    share: f32,
+}
+
+impl Smoothing {
+    /// The band, smoothed.
+    pub(crate) fn run(self, context: &Context<'_>) -> (u32, Vec<PixelRecord>) {
+        let Self { band, first_pixel, records, gathered, range, share } = self;
+        (band, smooth(context, first_pixel, &records, &gathered, range, share))
     }
 }
 

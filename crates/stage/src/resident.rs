@@ -1,7 +1,9 @@
-//! Tiles in memory: a loader thread that fetches ahead, and a cache that keeps what the budget allows (the
-//! paper's section 9 names this cache as future work).
+//! Tiles in memory: loader threads that fetch ahead, and a cache that keeps what the budget allows (the
+//! paper's section 9 names this cache as future work). Whatever else is loaded by its number is kept in the same way.
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
+use std::rc::Rc;
 use std::sync::Arc;
 
 use crossbeam::channel::{Receiver, Sender, unbounded};
@@ -129,42 +131,84 @@ impl TileReader<'_> {
     }
 }
 
-/// A tile that was asked for, or why it could not be had.
-pub struct Arrival {
-    tile: u32,
-    loaded: std::result::Result<TileData, StoreError>,
+/// How a [`Cache`] gets what it keeps.
+pub trait Load: Copy + Send {
+    /// What is kept.
+    type Item: Send + Sync;
+    /// What the timeline calls a load.
+    const SPAN: &'static str;
+    /// Where the bytes come from.
+    fn budget(&self) -> &MemoryBudget;
+    /// Bytes that a load reserves at any moment, at most, as far as they are known before it.
+    ///
+    /// # Errors
+    /// When the store does not have it.
+    fn peak_bytes(&self, id: u32) -> Result<u64>;
+    /// Loads it.
+    ///
+    /// # Errors
+    /// Corrupt or missing extents; a budget that has no room.
+    fn load(&self, id: u32) -> std::result::Result<Self::Item, StoreError>;
 }
 
-/// The cache of resident tiles. Owned by the stage's main thread; loaders run beside it.
-pub struct TileCache<'a> {
-    reader: TileReader<'a>,
+impl Load for TileReader<'_> {
+    type Item = TileData;
+    const SPAN: &'static str = "load";
+
+    fn budget(&self) -> &MemoryBudget {
+        self.budget
+    }
+
+    fn peak_bytes(&self, tile: u32) -> Result<u64> {
+        TileReader::peak_bytes(self, tile)
+    }
+
+    fn load(&self, tile: u32) -> std::result::Result<TileData, StoreError> {
+        TileReader::load(self, tile)
+    }
+}
+
+/// The cache of resident tiles.
+pub type TileCache<'a> = Cache<TileReader<'a>>;
+
+/// A tile that was asked for, or why it could not be had.
+pub struct Arrival<T> {
+    tile: u32,
+    loaded: std::result::Result<T, StoreError>,
+}
+
+/// What is resident, by number: tiles, as they are called below, or anything else. Owned by the stage's main thread; loaders run
+/// beside it.
+pub struct Cache<L: Load> {
+    reader: L,
     requests: Sender<u32>,
-    arrivals: Receiver<Arrival>,
+    arrivals: Receiver<Arrival<L::Item>>,
     /// What was asked for and has not arrived, and what it may come to reserve.
     in_flight: BTreeMap<u32, u64>,
-    resident: BTreeMap<u32, (u64, Arc<TileData>)>,
-    clock: u64,
+    resident: BTreeMap<u32, (u64, Arc<L::Item>)>,
+    /// Ticks with every use.
+    clock: Rc<Cell<u64>>,
     most: usize,
     /// Bytes that the cache leaves to others: blocks of records that are read back.
     margin: u64,
     loads: BTreeMap<u32, u32>,
 }
 
-impl<'a> TileCache<'a> {
+impl<L: Load> Cache<L> {
     /// A cache of at most `most` tiles (0: as many as the budget holds beside `margin` bytes), and the loop that a
     /// loader thread runs; any number of threads may run it.
     pub fn new(
-        reader: TileReader<'a>,
+        reader: L,
         most: usize,
         margin: u64,
-        timeline: &'a Timeline,
-    ) -> (Self, impl FnOnce() + Clone + Send + 'a) {
+        timeline: &Timeline,
+    ) -> (Self, impl FnOnce() + Clone + Send + use<'_, L>) {
         let (requests, incoming) = unbounded::<u32>();
         let (outgoing, arrivals) = unbounded();
         let lane = move || {
             let handle = timeline.lane("loader");
             for tile in incoming {
-                let span = handle.io("load", tile);
+                let span = handle.io(L::SPAN, tile);
                 let loaded = reader.load(tile);
                 drop(span);
                 if outgoing.send(Arrival { tile, loaded }).is_err() {
@@ -178,12 +222,24 @@ impl<'a> TileCache<'a> {
             arrivals,
             in_flight: BTreeMap::new(),
             resident: BTreeMap::new(),
-            clock: 0,
+            clock: Rc::default(),
             most,
             margin,
             loads: BTreeMap::new(),
         };
         (cache, lane)
+    }
+
+    /// Uses the clock of another cache, so that what is in both can be told apart by age ([`Self::oldest`]). To be called before
+    /// anything is loaded.
+    pub fn beside<M: Load>(mut self, other: &Cache<M>) -> Self {
+        self.clock = Rc::clone(&other.clock);
+        self
+    }
+
+    fn now(&self) -> u64 {
+        self.clock.set(self.clock.get() + 1);
+        self.clock.get()
     }
 
     /// Whether the tile is in memory.
@@ -201,6 +257,16 @@ impl<'a> TileCache<'a> {
         self.in_flight.len()
     }
 
+    /// Bytes that what was asked for may come to reserve.
+    pub fn coming(&self) -> u64 {
+        self.in_flight.values().sum()
+    }
+
+    /// When what would go next was used last, if anything can go: see [`Self::evict`].
+    pub fn oldest(&self, idle: &dyn Fn(u32) -> bool) -> Option<u64> {
+        self.next_to_go(idle).map(|(used, _)| used)
+    }
+
     /// The resident tiles, in order of their ids.
     pub fn residents(&self) -> impl Iterator<Item = u32> + '_ {
         self.resident.keys().copied()
@@ -215,22 +281,22 @@ impl<'a> TileCache<'a> {
     }
 
     /// The tile, if it is in memory; it counts as used now.
-    pub fn resident(&mut self, tile: u32) -> Option<Arc<TileData>> {
-        self.clock += 1;
+    pub fn resident(&mut self, tile: u32) -> Option<Arc<L::Item>> {
+        let now = self.now();
         let (used, data) = self.resident.get_mut(&tile)?;
-        *used = self.clock;
+        *used = now;
         Some(Arc::clone(data))
     }
 
-    /// Asks for a tile ahead of its use, where that evicts nothing that is in use: to be told of in [`Self::arrivals`].
+    /// Bytes that a load reserves at most.
     ///
     /// # Errors
-    /// The loaders have stopped.
-    pub fn prefetch(&mut self, tile: u32) -> Result<()> {
-        self.ask(tile, &|_| true).map(|_| ())
+    /// A tile that the store does not have.
+    pub fn needs(&self, tile: u32) -> Result<u64> {
+        self.reader.peak_bytes(tile)
     }
 
-    /// Asks for a tile if it fits beside all that is in use, in flight, or not `idle`; whether it does.
+    /// Asks for a tile ahead of its use, to be told of in [`Self::arrivals`], if it fits beside all that is in use, in flight, or not `idle`; whether it does.
     ///
     /// # Errors
     /// The loaders have stopped; a tile that the store does not have.
@@ -239,10 +305,11 @@ impl<'a> TileCache<'a> {
             return Ok(true);
         }
         let needs = self.reader.peak_bytes(tile)?;
-        let coming = self.in_flight.values().sum::<u64>() + needs + self.margin;
+        let coming = self.coming() + needs + self.margin;
         loop {
             let count = self.resident.len() + self.in_flight.len() + 1;
-            if self.reader.budget.available() >= coming && (self.most == 0 || count <= self.most) {
+            if self.reader.budget().available() >= coming && (self.most == 0 || count <= self.most)
+            {
                 break;
             }
             if !self.evict(idle) {
@@ -260,36 +327,36 @@ impl<'a> TileCache<'a> {
     }
 
     /// Where tiles arrive; each arrival goes to [`Self::arrived`].
-    pub fn arrivals(&self) -> &Receiver<Arrival> {
+    pub fn arrivals(&self) -> &Receiver<Arrival<L::Item>> {
         &self.arrivals
     }
 
-    /// Takes in what has arrived. A tile that found no room is not there then.
+    /// Takes in what has arrived; whether it is there. A tile that found no room in the budget is not.
     ///
     /// # Errors
     /// Exit 4 when it is damaged, exit 5 when it cannot be read.
-    pub fn arrived(&mut self, arrival: Arrival) -> Result<()> {
+    pub fn arrived(&mut self, arrival: Arrival<L::Item>) -> Result<bool> {
         let Arrival { tile, loaded } = arrival;
         self.in_flight.remove(&tile);
         match loaded {
             Ok(data) => {
-                self.clock += 1;
+                let now = self.now();
                 *self.loads.entry(tile).or_default() += 1;
-                self.resident.insert(tile, (self.clock, Arc::new(data)));
-                Ok(())
+                self.resident.insert(tile, (now, Arc::new(data)));
+                Ok(true)
             }
-            Err(StoreError::Budget(_)) => Ok(()),
+            Err(StoreError::Budget(_)) => Ok(false),
             Err(error) => Err(error.into()),
         }
     }
 
-    fn receive(&self) -> Result<Arrival> {
+    fn receive(&self) -> Result<Arrival<L::Item>> {
         self.arrivals.recv().map_err(|_| stopped())
     }
 
     /// Evicts least recently used tiles that nobody holds until the margin is free.
     pub fn keep_margin(&mut self) {
-        while self.reader.budget.available() < self.margin {
+        while self.reader.budget().available() < self.margin {
             if !self.evict(&|_| true) {
                 break;
             }
@@ -298,23 +365,25 @@ impl<'a> TileCache<'a> {
 
     /// Evicts the tile that was used longest ago among those that are idle and that nobody holds; dropping one that someone
     /// holds would free nothing.
-    fn evict(&mut self, idle: &dyn Fn(u32) -> bool) -> bool {
-        let oldest = self
-            .resident
-            .iter()
-            .filter(|&(&tile, (_, data))| Arc::strong_count(data) == 1 && idle(tile))
-            .min_by_key(|(_, (used, _))| *used)
-            .map(|(&tile, _)| tile);
-        let Some(tile) = oldest else { return false };
+    pub fn evict(&mut self, idle: &dyn Fn(u32) -> bool) -> bool {
+        let Some((_, tile)) = self.next_to_go(idle) else { return false };
         self.resident.remove(&tile);
         true
+    }
+
+    fn next_to_go(&self, idle: &dyn Fn(u32) -> bool) -> Option<(u64, u32)> {
+        let free = self
+            .resident
+            .iter()
+            .filter(|&(&tile, (_, data))| Arc::strong_count(data) == 1 && idle(tile));
+        free.map(|(&tile, &(used, _))| (used, tile)).min()
     }
 
     /// The tile, loaded now if it must be. Tiles that nobody holds make way until the budget has room.
     ///
     /// # Errors
     /// Exit 3 when it does not fit even alone, naming the tile's need; exit 4 when it is damaged.
-    pub fn get(&mut self, tile: u32) -> Result<Arc<TileData>> {
+    pub fn get(&mut self, tile: u32) -> Result<Arc<L::Item>> {
         loop {
             if let Some(data) = self.resident(tile) {
                 self.keep_margin();
@@ -337,7 +406,7 @@ impl<'a> TileCache<'a> {
                         return Err(StoreError::Budget(error).into());
                     }
                 }
-                _ => self.arrived(arrival)?,
+                _ => drop(self.arrived(arrival)?),
             }
         }
     }

@@ -1,0 +1,100 @@
+//! What rooms answer with: photon maps and the lights that reach them, loaded like tiles, by loaders of their own.
+
+use enf_illumination::{IrradianceCache, PhotonMap};
+use enf_layout::journal::LightPairRecord;
+use enf_layout::sections::Malformed;
+use enf_layout::segment::ExtentKind;
+use enf_stage::Result;
+use enf_stage::resident::Load;
+use enf_stage::tables::Tables;
+use enf_store::{MemoryBudget, StageReader, StoreError};
+
+use crate::caustics::Caustics;
+use crate::shade::{RoomLight, RoomMap};
+use crate::{Indirect, daylight};
+
+/// A mapped extent takes whole pages.
+const PAGES: u64 = 8 << 10;
+
+/// Loads rooms.
+#[derive(Clone, Copy)]
+pub(crate) struct RoomReader<'a> {
+    pub(crate) tables: &'a Tables,
+    /// For the lights that reach a room.
+    pub(crate) trace: &'a StageReader,
+    pub(crate) maps: &'a StageReader,
+    pub(crate) budget: &'a MemoryBudget,
+    pub(crate) indirect: Indirect,
+}
+
+impl RoomReader<'_> {
+    /// Bytes of a room's map and of the irradiance that is kept at its photons; none where no map is asked.
+    pub(crate) fn bytes(&self, room: u32) -> u64 {
+        if self.indirect == Indirect::None {
+            return 0;
+        }
+        let extents = self.maps.find(ExtentKind::Map, room);
+        let photons = extents.iter().map(|e| e.count as usize).sum();
+        extents.iter().map(|e| e.raw_bytes + PAGES).sum::<u64>() + IrradianceCache::bytes(photons)
+    }
+
+    /// Lights that reach a room, ascending, and how much of the room each lights: a factor of its importance.
+    fn lights(&self, room: u32) -> std::result::Result<Vec<(u32, f32)>, StoreError> {
+        let mut lights = Vec::new();
+        for extent in self.trace.find(ExtentKind::LightSet, room) {
+            let set = self.trace.read(extent, self.budget, "light set")?;
+            let set = set.as_slice_of::<LightPairRecord>()?;
+            // Of all that the light emits: lights may emit different numbers.
+            let part = |p: &LightPairRecord| p.photons as f32 / p.emitted.max(1) as f32;
+            let most = set.iter().map(part).fold(f32::MIN_POSITIVE, f32::max);
+            // A light of which much arrives has its full importance; one that shines in through a door counts
+            // less, for it is hidden from most of the room, but never less than a quarter: where it does shine it would be a
+            // grain otherwise.
+            lights.extend(set.iter().map(|p| {
+                let share = (10.0 * part(p) / most).min(1.0);
+                (p.light, 0.25 + 0.75 * share)
+            }));
+        }
+        if lights.iter().any(|l| l.0 as usize >= self.tables.lights().len()) {
+            return Err(Malformed(format!("the light set of room {room} names no light")).into());
+        }
+        Ok(lights)
+    }
+}
+
+impl Load for RoomReader<'_> {
+    type Item = RoomLight;
+    const SPAN: &'static str = "load room";
+
+    fn budget(&self) -> &MemoryBudget {
+        self.budget
+    }
+
+    fn peak_bytes(&self, room: u32) -> Result<u64> {
+        Ok(self.bytes(room))
+    }
+
+    fn load(&self, room: u32) -> std::result::Result<RoomLight, StoreError> {
+        let mut lights = self.lights(room)?;
+        let sun = daylight::adapt(&mut lights, self.tables, room);
+        if self.indirect == Indirect::None {
+            return Ok(RoomLight { map: None, lights, sun });
+        }
+        let extents = self.maps.find(ExtentKind::Map, room);
+        let photons = extents.iter().map(|e| e.count as usize).sum();
+        let bytes = IrradianceCache::bytes(photons);
+        let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
+        let map: Vec<_> = extents
+            .iter()
+            .map(|e| self.maps.map(e, self.budget, "photon map"))
+            .collect::<std::result::Result<_, _>>()?;
+        let photons = PhotonMap::from_pieces(map.iter().map(|m| &m[..]))?;
+        let cache = IrradianceCache::new(&photons);
+        let caustics = match self.indirect {
+            Indirect::FinalGather => Caustics::of(&photons, self.budget)?,
+            _ => None,
+        };
+        let map = RoomMap { map, cache, caustics, _reservation: reservation };
+        Ok(RoomLight { map: Some(map), lights, sun })
+    }
+}
