@@ -157,10 +157,15 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
         position,
         normal,
         front,
-        origin: position + normal * (tile.delta * OFFSET_PER_DELTA),
+        origin: position + normal * lift(tile),
         triangle: hit.global,
         material: tile.structure.material(hit.slot),
     }
+}
+
+/// How far a ray starts above the surface from which it goes, m.
+pub fn lift(tile: &Resident<'_>) -> f32 {
+    tile.delta * OFFSET_PER_DELTA
 }
 
 /// How a ray meets the surface at its hit: what [`crate::scatter::lobes`] asks.
