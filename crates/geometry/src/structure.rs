@@ -120,6 +120,7 @@ impl<'a> Structure<'a> {
     }
 
     /// Corners of the triangle of a hit of this structure, m; by [`Hit::slot`].
+    #[inline]
     pub fn corners(&self, slot: u32) -> [Vec3; 3] {
         match self {
             Self::Grid(grid) => grid.corners(slot),
@@ -128,6 +129,7 @@ impl<'a> Structure<'a> {
     }
 
     /// Its material.
+    #[inline]
     pub fn material(&self, slot: u32) -> u32 {
         match self {
             Self::Grid(grid) => grid.material(slot),

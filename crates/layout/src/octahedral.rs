@@ -4,19 +4,20 @@
 /// Quantisation steps on either side of zero.
 const STEPS: f32 = 2047.0;
 
+#[inline(always)]
 fn sign(x: f32) -> f32 {
     if x >= 0.0 { 1.0 } else { -1.0 }
 }
 
 /// The 24-bit code of a unit vector (angular error below 0.1 degree).
-#[inline]
+#[inline(always)]
 pub fn encode(v: [f32; 3]) -> u32 {
     let sum = v[0].abs() + v[1].abs() + v[2].abs();
     let (mut x, mut y) = (v[0] / sum, v[1] / sum);
     if v[2] < 0.0 {
         (x, y) = ((1.0 - y.abs()) * sign(x), (1.0 - x.abs()) * sign(y));
     }
-    let q = |c: f32| (c * STEPS + STEPS + 0.5) as u32 & 0xfff;
+    let q = |c: f32| crate::rgbe::whole(c * STEPS + STEPS + 0.5) & 0xfff;
     q(x) | q(y) << 12
 }
 

@@ -28,6 +28,14 @@ pub fn encode(rgb: [f32; 3], dither: [f32; 3]) -> [u8; 4] {
     }
 }
 
+/// The whole part of a number from 0 to 2^22: what a cast gives, in instructions that vectors have as well.
+#[inline(always)]
+pub fn whole(x: f32) -> u32 {
+    const SHIFT: f32 = 8_388_608.0;
+    let nearest = x + SHIFT;
+    (nearest.to_bits() & 0x7f_ffff) - u32::from(nearest - SHIFT > x)
+}
+
 /// The RGB of a code (the mean of [`encode`] over its dither is the original).
 pub fn decode(code: [u8; 4]) -> [f32; 3] {
     if code[3] == 0 {
@@ -66,6 +74,16 @@ mod tests {
         for c in 0..3 {
             let mean = sum[c] / f64::from(n);
             assert!((mean - f64::from(rgb[c])).abs() < 2e-6, "{c}: {mean} for {}", rgb[c]);
+        }
+    }
+
+    #[test]
+    fn whole_parts() {
+        for i in 0..1u32 << 20 {
+            let below = ((i + 1) as f32).next_down();
+            for x in [i as f32, i as f32 + 0.25, i as f32 + 0.5, i as f32 + 0.75, below] {
+                assert_eq!(whole(x), x as u32, "{x}");
+            }
         }
     }
 

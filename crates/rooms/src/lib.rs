@@ -8,6 +8,7 @@
 //! store, and [`Bsp`] walks a ray through them, leaf by leaf.
 #![forbid(unsafe_code)]
 
+mod cells;
 mod cluster;
 mod clutter;
 mod convex;
@@ -22,6 +23,7 @@ mod tables;
 mod tree;
 mod walk;
 
+pub use cells::Cells;
 pub use error::RoomsError;
 pub use partition::{Partition, partition};
 pub use pieces::{Piece, Scratch, Start};

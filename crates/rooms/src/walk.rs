@@ -46,6 +46,9 @@ pub struct Malformed {
     pub fault: &'static str,
 }
 
+/// A direction clearly leads away from a half-space when its share along the outward normal is below this.
+pub(crate) const AWAY: f64 = -0.25;
+
 /// A validated view of the tables of one BSP.
 #[derive(Clone, Copy, Debug)]
 pub struct Bsp<'a> {
@@ -216,16 +219,23 @@ impl<'a> Bsp<'a> {
     /// weight, and `direction`, which leads clearly away from those, leads away from that plane.
     #[inline]
     pub fn keeps(&self, leaf: u32, point: DVec3, direction: DVec3) -> bool {
-        let (clearly, far) = (-self.delta / 16.0, -16.0 * self.delta);
+        let (clearly, far) = self.kept();
         self.outward(leaf).all(|(n, offset)| {
             let s = n.dot(point) - offset;
-            s < far || (s < clearly && n.dot(direction) < -0.25)
+            s < far || (s < clearly && n.dot(direction) < AWAY)
         })
+    }
+
+    /// How far outside of a half-space a point of [`Self::keeps`] may be, when the direction leads away from it and when not: below
+    /// these, m.
+    #[inline]
+    pub(crate) fn kept(&self) -> (f64, f64) {
+        (-self.delta / 16.0, -16.0 * self.delta)
     }
 
     /// The outward half-spaces of a leaf: unit normal and offset.
     #[inline]
-    fn outward(&self, leaf: u32) -> impl Iterator<Item = (DVec3, f64)> {
+    pub(crate) fn outward(&self, leaf: u32) -> impl Iterator<Item = (DVec3, f64)> {
         let leaf = &self.leaves[leaf as usize];
         let first = leaf.first_face as usize;
         self.faces[first..first + leaf.face_count as usize].iter().map(|face| {

@@ -7,9 +7,11 @@ use std::sync::Arc;
 use enf_layout::bsp::LeafRecord;
 use enf_layout::journal::LedgerRecord;
 use enf_layout::light::{
-    LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY, LIGHT_SPOT, LIGHT_SUN,
+    EmitterRecord, LIGHT_AREA, LIGHT_POINT_LAMBERT, LIGHT_PROFILE, LIGHT_SKY, LIGHT_SPOT,
+    LIGHT_SUN, LightRecord,
 };
 use enf_layout::photon::{PHOTON_DIRECT, PhotonRecord};
+use enf_layout::profile::Profile;
 use enf_layout::sections::Malformed;
 use enf_layout::transit::{TRANSIT_AIMED, TRANSIT_PROBE, TRANSIT_UNSCATTERED, TransitRecord};
 use enf_rooms::Bsp;
@@ -222,6 +224,8 @@ struct Aiming<'a, 'b> {
     products: Products,
     /// Photons that were aimed and start in this tile.
     aimed: Vec<TransitRecord>,
+    /// Where the last photon started: the next one is likely to start there as well.
+    near: u32,
 }
 
 impl Sink for Aiming<'_, '_> {
@@ -317,6 +321,25 @@ fn reflections(ledger: &mut LedgerRecord, impacts: u32) {
     ledger.reflections_max = ledger.reflections_max.max(impacts);
 }
 
+/// A light as those who send off its photons need it.
+struct Source<'a> {
+    id: u32,
+    light: &'a LightRecord,
+    emitters: &'a [EmitterRecord],
+    profile: Option<Profile<'a>>,
+    /// How many photons it sends off.
+    count: u64,
+}
+
+impl<'a> Source<'a> {
+    fn new(context: &'a Context<'_>, id: u32) -> Self {
+        let tables = context.tables;
+        let light = &tables.lights()[id as usize];
+        let (emitters, profile) = (tables.emitters_of(light), tables.profile_of(light));
+        Self { id, light, emitters, profile, count: context.counts.of(id) }
+    }
+}
+
 /// What every job needs to know.
 pub(crate) struct Context<'a> {
     pub(crate) tables: &'a Tables,
@@ -348,6 +371,7 @@ impl Context<'_> {
             tile: tile.tile,
             products: Products::default(),
             aimed: Vec::new(),
+            near: 0,
         };
         match &job.work {
             Work::Waiting { records, range } => {
@@ -362,11 +386,12 @@ impl Context<'_> {
             }
             Work::Emission { light, indices } => {
                 let mut indices = indices.clone();
+                let source = Source::new(self, *light);
                 photon::trace_all(&tile, self.seed, group, &mut sink, |sink| {
-                    let products = &mut sink.products;
+                    let (products, near) = (&mut sink.products, &mut sink.near);
                     sink.aimed.pop().or_else(|| {
-                        indices.find_map(|index| match index.checked_sub(self.counts.of(*light)) {
-                            None => self.emit(&tile, *light, index as u32, products),
+                        indices.find_map(|index| match index.checked_sub(source.count) {
+                            None => self.emit(&tile, &source, index as u32, products, near),
                             Some(probe) => self.probe(&tile, *light, probe as u32),
                         })
                     })
@@ -384,24 +409,23 @@ impl Context<'_> {
     fn emit(
         &self,
         tile: &Resident<'_>,
-        id: u32,
+        source: &Source<'_>,
         photon: u32,
         products: &mut Products,
+        near: &mut u32,
     ) -> Option<TransitRecord> {
-        let light = &self.tables.lights()[id as usize];
-        let emitters = self.tables.emitters_of(light);
+        let &Source { id, light, emitters, profile, count } = source;
         if let Some(daylight) = &self.daylight
             && Daylight::is_daylight(light)
         {
             let arrival = daylight.emit(self.seed, id, light, emitters, photon);
-            let flux = arrival.flux / self.counts.of(id) as f32;
+            let flux = arrival.flux / count as f32;
             let owned = || flux != Vec3::ZERO && daylight.owns(&arrival);
-            return self.launch(tile, id, photon, &arrival.start, flux, owned, products);
+            return self.launch(tile, id, photon, &arrival.start, flux, owned, products, near);
         }
-        let profile = self.tables.profile_of(light);
         let start = emission::start(self.seed, id, light, emitters, profile, photon, tile.delta);
-        let flux = Vec3::from(light.flux_w) / self.counts.of(id) as f32;
-        self.launch(tile, id, photon, &start, flux, || true, products)
+        let flux = Vec3::from(light.flux_w) / count as f32;
+        self.launch(tile, id, photon, &start, flux, || true, products, near)
     }
 
     /// Enters a photon that starts in the tile into the ledger. One whose light is another photon's (it is not `owned`)
@@ -416,13 +440,16 @@ impl Context<'_> {
         flux: Vec3,
         owned: impl FnOnce() -> bool,
         products: &mut Products,
+        near: &mut u32,
     ) -> Option<TransitRecord> {
         let (origin, direction) = (start.origin.as_dvec3(), start.direction.as_dvec3());
-        let leaf = self.bsp.locate_towards(origin, direction);
+        let plain = self.bsp.keeps(*near, origin, direction);
+        let leaf = if plain { *near } else { self.bsp.locate_towards(origin, direction) };
+        *near = leaf;
         if self.leaf(leaf).tile != tile.tile {
             return None;
         }
-        let room = self.leaf(self.bsp.locate(origin)).room;
+        let room = self.leaf(if plain { leaf } else { self.bsp.locate(origin) }).room;
         products.tally.room(room).emitted += 1;
         products.tally.traced += 1;
         if !owned() {

@@ -150,7 +150,7 @@ impl Surface {
 pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
     let [a, b, c] = tile.structure.corners(hit.slot).map(|p| p.as_dvec3());
     let (u, v) = (f64::from(hit.u), f64::from(hit.v));
-    let lift = tile.delta * OFFSET_PER_DELTA;
+    let lift = lift(tile);
     let position = vector::off_edges([a, b, c], u, v, f64::from(lift)).as_vec3();
     let normal = (b - a).cross(c - a).normalize_or_zero();
     let front = normal.dot(direction.as_dvec3()) < 0.0;
@@ -163,6 +163,11 @@ pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
         triangle: hit.global,
         material: tile.structure.material(hit.slot),
     }
+}
+
+/// How far a ray starts above the surface from which it goes, m.
+pub fn lift(tile: &Resident<'_>) -> f32 {
+    tile.delta * OFFSET_PER_DELTA
 }
 
 /// How a ray meets the surface at its hit: what [`crate::scatter::lobes`] asks.

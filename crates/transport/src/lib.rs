@@ -9,6 +9,7 @@ pub mod emission;
 pub mod flight;
 pub mod gloss;
 pub mod lamp;
+mod landing;
 pub mod photon;
 pub mod rng;
 pub mod scatter;

@@ -31,20 +31,20 @@ pub enum Purpose {
 
 /// Four numbers for (`seed`, `purpose`, `a`, `b`, `bounce`, `block`): for photons `a` is the light and `b`
 /// the photon, for camera rays the pixel and the sample.
-#[inline]
+#[inline(always)]
 pub fn block(seed: u64, purpose: Purpose, a: u32, b: u32, bounce: u16, block: u8) -> [u32; 4] {
     let word = u32::from(bounce) | (purpose as u32) << 16 | u32::from(block) << 24;
     philox([b, a, word, 0], [seed as u32, (seed >> 32) as u32])
 }
 
 /// Four uniform numbers in `[0, 1)`, as [`block`].
-#[inline]
+#[inline(always)]
 pub fn uniforms(seed: u64, purpose: Purpose, a: u32, b: u32, bounce: u16, index: u8) -> [f32; 4] {
     block(seed, purpose, a, b, bounce, index).map(unit)
 }
 
 /// The top 24 bits as a number in `[0, 1)`.
-#[inline]
+#[inline(always)]
 pub fn unit(bits: u32) -> f32 {
     (bits >> 8) as f32 * (1.0 / 16_777_216.0)
 }
@@ -54,7 +54,7 @@ pub fn fine(high: u32, low: u32) -> f64 {
     (u64::from(high) << 21 | u64::from(low) >> 11) as f64 * (1.0 / 9_007_199_254_740_992.0)
 }
 
-#[inline]
+#[inline(always)]
 fn philox(mut counter: [u32; 4], mut key: [u32; 2]) -> [u32; 4] {
     const M0: u32 = 0xD251_1F53;
     const M1: u32 = 0xCD9E_8D57;

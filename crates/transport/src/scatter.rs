@@ -6,7 +6,7 @@
 //! depends on the direction that is drawn from it (gloss, and matter below gloss), directions are drawn first and
 //! roulette chooses among what was drawn: that is as unbiased, and keeps the flux as well.
 
-use enf_layout::material::{MATERIAL_SOLID, MaterialRecord};
+use enf_layout::material::{MATERIAL_GLOSS, MATERIAL_SOLID, MaterialRecord};
 use enf_layout::transit::{TRANSIT_ACROSS, TRANSIT_ALONG};
 use glam::Vec3;
 
@@ -223,6 +223,13 @@ pub fn stores_impacts(material: &MaterialRecord) -> bool {
     let specular = Vec3::from(material.specular).max_element();
     let transmitted = Vec3::from(material.transmission).max_element();
     Vec3::from(material.diffuse).max_element() > 0.0 || (specular <= 0.0 && transmitted <= 0.0)
+}
+
+/// Whether a Lambert lobe, textured or not, is all that a material has: no gloss, no mirror, nothing that light goes through.
+pub fn is_bare(material: &MaterialRecord) -> bool {
+    material.flags & (MATERIAL_GLOSS | MATERIAL_SOLID) == 0
+        && material.specular == [0.0; 3]
+        && material.transmission == [0.0; 3]
 }
 
 /// Russian roulette among absorption and the lobes. `normal` is the unit normal on the side that was hit,

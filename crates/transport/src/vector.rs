@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 /// Two unit vectors that make a right-handed frame with the unit vector `n` (Duff et al. 2017, JCGT 6(1)).
-#[inline]
+#[inline(always)]
 pub fn frame(n: Vec3) -> (Vec3, Vec3) {
     let sign = if n.z >= 0.0 { 1.0f32 } else { -1.0 };
     let a = -1.0 / (sign + n.z);
@@ -17,12 +17,51 @@ pub fn frame(n: Vec3) -> (Vec3, Vec3) {
 /// A direction about `n` with density cos(theta)/pi, from two uniform numbers.
 #[inline]
 pub fn cosine(n: Vec3, u1: f32, u2: f32) -> Vec3 {
+    cosine_by(n, u1, libm::sincosf(core::f32::consts::TAU * u2))
+}
+
+/// [`cosine`], when sine and cosine of its second number's angle are known.
+#[inline(always)]
+pub(crate) fn cosine_by(n: Vec3, u1: f32, (sin, cos): (f32, f32)) -> Vec3 {
     let radius = u1.sqrt();
-    let (sin, cos) = libm::sincosf(core::f32::consts::TAU * u2);
     let (t, b) = frame(n);
     // max: a direction in the surface itself would never leave it.
     let height = (1.0 - u1).max(1e-8).sqrt();
     (t * (radius * cos) + b * (radius * sin) + n * height).normalize()
+}
+
+/// Sine and cosine of `u` turns, for `u` in `[0, 1)`: the bits of `libm::sincosf(TAU * u)`, without a branch. The quarters,
+/// the polynomials and their coefficients are those of FreeBSD's `s_sinf.c`, `k_sinf.c` and `k_cosf.c`.
+#[inline(always)]
+pub(crate) fn around(u: f32) -> (f32, f32) {
+    use core::f64::consts::FRAC_PI_2;
+    let x = core::f32::consts::TAU * u;
+    // Where pi/4, 3 pi/4, 5 pi/4 and 7 pi/4 end.
+    let beyond = |bits: u32| x.to_bits() > bits;
+    let [second, third, fourth, fifth] =
+        [beyond(0x3f49_0fda), beyond(0x4016_cbe3), beyond(0x407b_53d1), beyond(0x40af_eddf)];
+    let (odd, wide) = ((second & !third) | (fourth & !fifth), f64::from(x));
+    let mut y = wide;
+    y = if second { FRAC_PI_2 - wide } else { y };
+    y = if third { wide - 2.0 * FRAC_PI_2 } else { y };
+    y = if fourth { wide - 3.0 * FRAC_PI_2 } else { y };
+    y = if fifth { wide - 4.0 * FRAC_PI_2 } else { y };
+
+    let z = y * y;
+    let w = z * z;
+    let r = -0.000_198_393_348_360_966_317_347 + z * 0.000_002_718_311_493_989_821_906_4;
+    let s = z * y;
+    let sin = (y + s * (-0.166_666_666_416_265_235_595 + z * 0.008_333_329_385_889_463_175_6))
+        + s * w * r;
+    let r = -0.001_388_676_377_460_992_946_92 + z * 0.000_024_390_448_796_277_409_065_4;
+    let cos = ((1.0 + z * -0.499_999_997_251_031_003_120) + w * 0.041_666_623_323_739_063_189_4)
+        + (w * z) * r;
+    let (sin, cos) = (sin as f32, cos as f32);
+
+    let (a, b) = if odd { (cos, sin) } else { (sin, cos) };
+    let a = if third & !fifth { -a } else { a };
+    let b = if third & !fourth { -b } else { b };
+    (a, b)
 }
 
 /// A uniform direction on the sphere, from two uniform numbers.
@@ -156,6 +195,17 @@ mod tests {
             for d in [t.dot(b), t.dot(n), b.dot(n), t.length() - 1.0, b.length() - 1.0] {
                 prop_assert!(d.abs() < 1e-5);
             }
+        }
+    }
+
+    /// Every number that [`fraction`] makes.
+    #[test]
+    fn turns_are_those_of_libm() {
+        for i in 0..1u32 << 24 {
+            let u = fraction(i << 8);
+            let (sin, cos) = libm::sincosf(core::f32::consts::TAU * u);
+            let ours = around(u);
+            assert_eq!((ours.0.to_bits(), ours.1.to_bits()), (sin.to_bits(), cos.to_bits()), "{u}");
         }
     }
 

@@ -2,8 +2,8 @@
 //!
 //! A ray alone spends most of its time on waiting: for the memory that holds the next node, for the end of
 //! a chain of instructions, and after each branch that went the other way, which no one can foretell in a
-//! tree. So some dozens are under way together. Each round takes an entry from the stack of each
-//! ray and sorts the rays by what it is; then all that are at a node open it; then all that are at a
+//! tree. So some dozens are under way together. In each round, those that have none take an entry from their stack; then
+//! all that are at a node open it, and the first of its children is where they are next; then all that are at a
 //! block test it. Within a pass nothing depends on anything but its own ray, and what differs
 //! between rays is computed and masked instead of branched on.
 
@@ -69,9 +69,8 @@ impl<L: Level, A: Answer, const ANY: bool> Flights<'_, L, A, ANY> {
             if self.bvh.needs_walk(search) {
                 flight.boxes[place & MASK] = self.level.boxes(&search.ray);
                 flight.index[place & MASK] = index as u32;
-                flight.enter[place & MASK][WIDTH] = f32::NEG_INFINITY;
-                flight.what[place & MASK][WIDTH] = INNER;
-                flight.len[place & MASK] = WIDTH as u32 + 1;
+                flight.at[place & MASK] = INNER;
+                flight.len[place & MASK] = WIDTH as u32;
                 return true;
             }
             self.answers[index] = A::of(search);
@@ -98,19 +97,20 @@ impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, A
             enter: [[f32::INFINITY; ENTRIES]; FLIGHT],
             what: [[NOTHING; ENTRIES]; FLIGHT],
         });
-        let mut active = [0u32; FLIGHT];
         let mut count = 0;
+        // Who is at a node, who is at a block, who has to take an entry first, who has come to an end; and how many.
+        let (mut nodes, mut blocks) = ([0u32; FLIGHT], [0u32; FLIGHT]);
+        let (mut takers, mut ended) = ([0u32; FLIGHT], [0u32; FLIGHT]);
         while count < FLIGHT && self.board(&mut next, &mut flight, count) {
             flight.enter[count][WIDTH - 1] = f32::NEG_INFINITY;
-            active[count] = count as u32;
+            nodes[count] = count as u32;
             count += 1;
         }
-        let (mut nodes, mut blocks, mut ended) = ([0u32; FLIGHT], [0u32; FLIGHT], [0u32; FLIGHT]);
+        let (mut at_node, mut at_block, mut taking) = (count, 0usize, 0usize);
         while count > 0 {
             let flight = &mut *flight;
-            // Who goes where.
-            let (mut at_node, mut at_block, mut at_end) = (0usize, 0usize, 0usize);
-            for &place in &active[..count] {
+            let mut at_end = 0usize;
+            for &place in &takers[..taking.min(FLIGHT)] {
                 let i = place as usize & MASK;
                 let enter = &flight.enter[i];
                 let to = flight.search[i].best.t;
@@ -137,15 +137,19 @@ impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, A
                 at_block += 1 - inner;
                 at_end += end;
             }
-            let (nodes, blocks) = (&nodes[..at_node], &blocks[..at_block]);
+            // Lists are written anew for the next round while they are read.
+            let (now_nodes, now_blocks) = (nodes, blocks);
+            let now_nodes = &now_nodes[..at_node.min(FLIGHT)];
+            let now_blocks = &now_blocks[..at_block.min(FLIGHT)];
+            (at_node, at_block, taking) = (0, 0, 0);
 
             // Asks for what the passes below will want, all at once: memory answers many as fast as one.
             let mut touched = 0;
-            for &place in nodes {
+            for &place in now_nodes {
                 let node = &bvh.nodes[(flight.at[place as usize & MASK] ^ INNER) as usize];
                 touched ^= node.origin[0].to_bits() ^ node.used;
             }
-            for &place in blocks {
+            for &place in now_blocks {
                 let block = flight.at[place as usize & MASK] & BLOCK;
                 let block = &bvh.blocks[block as usize];
                 touched ^= block.corners[0][0][0].to_bits() ^ block.corners[1][1][0].to_bits();
@@ -153,7 +157,7 @@ impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, A
             }
             std::hint::black_box(touched);
 
-            for &place in nodes {
+            for &place in now_nodes {
                 let i = place as usize & MASK;
                 let node = &bvh.nodes[(flight.at[i] ^ INNER) as usize];
                 let len = flight.len[i] as usize;
@@ -166,13 +170,26 @@ impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, A
                     flight.search[i] = Search::new(bvh.delta, query);
                     bvh.alone::<_, ANY>(level, &mut flight.search[i]);
                     flight.len[i] = WIDTH as u32;
+                    takers[taking & MASK] = place;
+                    taking += 1;
                     continue;
                 }
                 flight.enter[i][len..len + WIDTH].copy_from_slice(&enter);
                 flight.what[i][len..len + WIDTH].copy_from_slice(&what);
-                flight.len[i] = len as u32 + n;
+                // The first child is next, without a turn over the stack.
+                let some = u32::from(n != 0);
+                let at = what[(n.wrapping_sub(some)) as usize & (WIDTH - 1)];
+                flight.at[i] = at;
+                flight.len[i] = len as u32 + n - some;
+                nodes[at_node & MASK] = place;
+                blocks[at_block & MASK] = place;
+                takers[taking & MASK] = place;
+                let inner = some & at >> 31;
+                at_node += inner as usize;
+                at_block += (some - inner) as usize;
+                taking += 1 - some as usize;
             }
-            for &place in blocks {
+            for &place in now_blocks {
                 let i = place as usize & MASK;
                 let at = flight.at[i];
                 let block = at & BLOCK;
@@ -182,14 +199,17 @@ impl<L: Level, A: Answer, const ANY: bool> NullaryFnOnce for Flights<'_, L, A, A
                     let rest = if flight.search[i].found { WIDTH as u32 } else { u32::MAX };
                     flight.len[i] = flight.len[i].min(rest);
                 }
+                takers[taking & MASK] = place;
+                taking += 1;
             }
             for &place in &ended[..at_end] {
                 let i = place as usize & MASK;
                 self.answers[flight.index[i] as usize] = A::of(&flight.search[i]);
-                if !self.board(&mut next, flight, i) {
-                    let gone = active[..count].iter().position(|&a| a == place).unwrap_or(0);
+                if self.board(&mut next, flight, i) {
+                    nodes[at_node & MASK] = place;
+                    at_node += 1;
+                } else {
                     count -= 1;
-                    active.swap(gone, count);
                 }
             }
         }

@@ -173,12 +173,19 @@ impl<'a> BvhView<'a> {
     }
 
     /// Corners of the triangle of a hit, m.
+    #[inline]
     pub fn corners(&self, slot: u32) -> [Vec3; 3] {
         let (block, lane) = (&self.blocks[(slot / 4) as usize], (slot % 4) as usize);
-        block.corners.map(|c| Vec3::new(c[0][lane], c[1][lane], c[2][lane]))
+        // One by one: to map the array would copy the whole block first.
+        let corner = |c: usize| {
+            let [x, y, z] = &block.corners[c];
+            Vec3::new(x[lane], y[lane], z[lane])
+        };
+        [corner(0), corner(1), corner(2)]
     }
 
     /// Its material.
+    #[inline]
     pub fn material(&self, slot: u32) -> u32 {
         self.blocks[(slot / 4) as usize].material[(slot % 4) as usize]
     }
