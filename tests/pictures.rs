@@ -88,6 +88,45 @@ fn a_furnace_is_even_about_small_things() {
     assert!((found - 4.0).abs() < 0.08, "{found}");
 }
 
+/// Smoothing moves light between pixels and makes or loses next to none: not in either room, nor on the edges of the
+/// doorway between a bright one and a dark one. Both pictures are of the same rays. (Of what is seen of the dark one, some forty
+/// pixels, the brightest lie at the doorway's line, where the room's other pixels, all darker, are their only partners: 0.96.)
+#[test]
+fn smoothing_keeps_the_light() {
+    let dir = tempfile::tempdir().unwrap();
+    let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("fixtures/scenes");
+    let scene = dir.path().join("two-rooms.toml");
+    for name in ["two-rooms.toml", "two-rooms.obj", "two-rooms.mtl"] {
+        std::fs::copy(scenes.join(name), dir.path().join(name)).unwrap();
+    }
+    let store = light(&scene, "60k", &[]);
+    let flags = ["--width", "96", "--height", "72", "--max-samples", "8", "--gather-rays", "8"];
+    let [plain, smooth] = ["0", "0.25"].map(|share| {
+        let flags = [&GATHER[..], &flags[..], &["--gather-smoothing", share]].concat();
+        render(&store, dir.path(), share, "west", &flags)
+    });
+    let normal = |i: usize| {
+        let square = |c: &str| f64::from(plain.channel(c).unwrap()[i]).powi(2);
+        (square("normal.X") + square("normal.Y") + square("normal.Z")).sqrt()
+    };
+    let rooms = plain.channel("room.ID").unwrap();
+    for room in [0.0, 1.0] {
+        // Edges that are mixed up with what is beside them had 0.67 of their light in the dark room.
+        for (edges, limit) in [(true, 0.04), (false, 0.06)] {
+            let pixels: Vec<usize> = (0..rooms.len())
+                .filter(|&i| rooms[i] == room && (normal(i) < 0.98) == edges)
+                .collect();
+            let sum = |picture: &Loaded| {
+                let values = picture.channel("indirect.G").unwrap();
+                pixels.iter().map(|&i| f64::from(values[i])).sum::<f64>()
+            };
+            let ratio = sum(&smooth) / sum(&plain);
+            assert!(pixels.len() > 30, "{room} {edges}");
+            assert!((ratio - 1.0).abs() < limit, "room {room}, edges {edges}: {ratio}");
+        }
+    }
+}
+
 /// The foot of a wall that gets light from the floor before it alone: near the corner half of what it sees is floor, and most
 /// of that is nearer than the photon map's disc.
 #[test]
