@@ -1,8 +1,11 @@
 //! The walk finds the nearest triangle of all, whatever the partition.
 
-use enf_rooms::{Bsp, Hint, Options, Partition, RoomCount, Scratch, Tables, TileLimit, partition};
+use enf_rooms::{
+    Bsp, Cells, Hint, Options, Partition, RoomCount, Scratch, Tables, TileLimit, partition,
+};
 use glam::DVec3;
 use proptest::prelude::*;
+use pulp::{Arch, Scalar, Simd, WithSimd};
 
 type Triangle = [[f32; 3]; 3];
 
@@ -97,8 +100,9 @@ fn check(triangles: &[Triangle], tables: &Tables, rays: &[(DVec3, DVec3)]) {
         let expected = nearest(triangles, 0..all, o, d, f32::INFINITY);
         assert_eq!(walk(&bsp, tables, triangles, o, d), expected, "from {o} along {d}");
     }
+    let mut cells = Cells::default();
     for &(o, d) in rays {
-        shortcuts(&bsp, o, d);
+        shortcuts(&bsp, &mut cells, o, d);
     }
     // No triangle is lost, and each is in the tile of its own points.
     let mut seen = vec![false; triangles.len()];
@@ -129,12 +133,35 @@ fn check(triangles: &[Triangle], tables: &Tables, rays: &[(DVec3, DVec3)]) {
     }
 }
 
+/// What [`Cells`] say.
+struct Held<'a, 'b> {
+    cells: &'a mut Cells,
+    bsp: &'a Bsp<'b>,
+    leaf: u32,
+    point: DVec3,
+    direction: DVec3,
+    t: f32,
+}
+
+impl WithSimd for Held<'_, '_> {
+    type Output = [bool; 2];
+
+    fn with_simd<S: Simd>(self, simd: S) -> [bool; 2] {
+        let Self { cells, bsp, leaf, point, direction, t } = self;
+        [
+            cells.keeps(simd, bsp, leaf, point, direction),
+            cells.accepts(simd, bsp, leaf, point, direction, t),
+        ]
+    }
+}
+
 /// What [`Bsp::keeps`] and [`Bsp::accepts`] say goes for every leaf and for points as near to planes as photons start. Returns how
 /// often the first said yes.
-fn shortcuts(bsp: &Bsp<'_>, o: DVec3, d: DVec3) -> usize {
+fn shortcuts(bsp: &Bsp<'_>, cells: &mut Cells, o: DVec3, d: DVec3) -> usize {
     let d = d.normalize();
     let lift = f64::from(DELTA) / 4.0;
     let mut kept = 0;
+    cells.clear();
     for step in [DVec3::ZERO, DVec3::X, -DVec3::X, DVec3::Y, -DVec3::Y, DVec3::Z, -DVec3::Z] {
         let p = o + step * lift;
         for leaf in 0..bsp.leaves.len() as u32 {
@@ -150,6 +177,17 @@ fn shortcuts(bsp: &Bsp<'_>, o: DVec3, d: DVec3) -> usize {
                     assert!(t <= exit.t_accept.next_up(), "{t} {exit:?}");
                 }
             }
+            // One of them is enough.
+            if step != DVec3::Y {
+                continue;
+            }
+            let t = exit.t_accept;
+            let both = [bsp.keeps(leaf, p, d), bsp.accepts(leaf, p, d, t)];
+            let (point, direction) = (p, d);
+            let held = Held { cells, bsp, leaf, point, direction, t };
+            assert_eq!(Arch::new().dispatch(held), both, "{p} along {d} to {t}");
+            let held = Held { cells, bsp, leaf, point, direction, t };
+            assert_eq!(held.with_simd(Scalar), both, "{p} along {d} to {t}");
         }
     }
     kept
@@ -167,7 +205,7 @@ fn a_photon_off_a_wall_mostly_stays_in_its_leaf() {
     let at = |lift: f64| DVec3::new(5.0 + lift, 4.0, 4.0);
     let lift = f64::from(DELTA) / 4.0;
     let towards = |x: f64| DVec3::new(x, 0.6, 0.1).normalize();
-    assert!(shortcuts(&bsp, at(lift), towards(1.0)) > 0);
+    assert!(shortcuts(&bsp, &mut Cells::default(), at(lift), towards(1.0)) > 0);
     // Along the wall, or on the plane, it has to be looked for.
     let leaf = bsp.locate(at(lift));
     assert!(bsp.keeps(leaf, at(lift), towards(1.0)) && bsp.keeps(leaf, at(1.0), towards(-1.0)));

@@ -3,6 +3,9 @@
 //! [`crate::flight::surface`], [`rng::uniforms`], [`crate::scatter::scatter`], [`octahedral::encode`] and [`rgbe::encode`] say for
 //! one photon, bit for bit.
 
+// Indices say which lane, in every array of a loop.
+#![allow(clippy::needless_range_loop)]
+
 use enf_layout::{octahedral, rgbe};
 use glam::Vec3;
 use pulp::NullaryFnOnce;
@@ -374,5 +377,98 @@ fn fluxes(l: &mut Landing) {
         for i in 0..LANES {
             l.codes[i] = u32::from_le_bytes(rgbe::encode([r[i], g[i], b[i]], [s[i], t[i], u[i]]));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scatter::{self, Lobes};
+    use pulp::{Arch, Scalar, WithSimd};
+
+    const SEED: u64 = 7;
+    const LIFT: f32 = 1e-5;
+
+    /// Photons on triangles of all sizes and attitudes, some of them as black, as white, as weak or as strong as can be.
+    fn asked(lane: usize, round: u32) -> Asked {
+        let number = |i: u32| rng::uniforms(round.into(), Purpose::Camera, lane as u32, i, 0, 0);
+        let vector = |i: u32| Vec3::from_slice(&number(i)) * 2.0 - Vec3::ONE;
+        let size = [1.0, 100.0, 1e-4][round as usize % 3];
+        let corners = [0, 1, 2].map(|i| vector(3) * 10.0 + vector(i) * size);
+        let [u, v, share, power] = number(4);
+        let direction = match round % 8 {
+            0 => Vec3::AXES[lane % 3],
+            _ => vector(5).normalize(),
+        };
+        let strength = [1.0, 1e-30, 1e-3, 1e30, 0.0][if power < 0.1 { lane % 5 } else { 0 }];
+        let [r, g, b, _] = number(6);
+        let diffuse = [Vec3::ZERO, Vec3::ONE, Vec3::new(r, g, b)][(share * 9.0).min(2.0) as usize];
+        Asked {
+            corners,
+            u: u * (1.0 - v),
+            v,
+            direction,
+            flux: Vec3::from_slice(&number(7)) * strength,
+            diffuse,
+            light: round,
+            photon: lane as u32 * 77,
+            bounce: round as u16 % 50,
+            triangle: 5,
+            material: 6,
+        }
+    }
+
+    /// The surface as `crate::flight::surface` finds it.
+    fn surface(asked: &Asked) -> Surface {
+        let [a, b, c] = asked.corners.map(|p| p.as_dvec3());
+        let (u, v) = (f64::from(asked.u), f64::from(asked.v));
+        let position = (a * (1.0 - u - v) + b * u + c * v).as_vec3();
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let front = normal.dot(asked.direction.as_dvec3()) < 0.0;
+        let normal = (if front { normal } else { -normal }).as_vec3();
+        let origin = position + normal * LIFT;
+        Surface { position, normal, front, origin, triangle: 5, material: 6 }
+    }
+
+    #[test]
+    fn lanes_find_what_one_photon_finds() {
+        let (mut survivors, mut dead) = (0, 0);
+        for round in 0..300 {
+            let all: Vec<Asked> = (0..LANES).map(|lane| asked(lane, round)).collect();
+            let mut landing = Landing::default();
+            for (lane, asked) in all.iter().enumerate() {
+                landing.ask(lane, asked);
+            }
+            let mut plain = landing.clone();
+            landing.find(Arch::new(), SEED, LIFT);
+            Find { landing: &mut plain, seed: SEED, lift: LIFT }.with_simd(Scalar);
+            for (lane, asked) in all.iter().enumerate() {
+                let surface = surface(asked);
+                let (light, photon, bounce) = (asked.light, asked.photon, asked.bounce);
+                let u = rng::uniforms(SEED, Purpose::Scatter, light, photon, bounce, 0);
+                let d = rng::uniforms(SEED, Purpose::Dither, light, photon, bounce, 0);
+                let lobes = Lobes { diffuse: asked.diffuse, ..Lobes::BLACK };
+                let (direction, normal) = (asked.direction, surface.normal);
+                let expected =
+                    scatter::scatter(&lobes, direction, normal, asked.flux, [u[0], u[1], u[2]]);
+                match expected.0 {
+                    Event::Absorbed => dead += 1,
+                    _ => survivors += 1,
+                }
+                let flux = rgbe::encode(asked.flux.to_array(), [d[0], d[1], d[2]]);
+                let codes = [direction, normal].map(|v| octahedral::encode(v.to_array()));
+                for found in [&landing, &plain] {
+                    let here = found.surface(lane);
+                    assert_eq!(format!("{here:?}"), format!("{surface:?}"));
+                    assert_eq!(found.uniforms(lane), u);
+                    assert_eq!(found.dither(lane), [d[0], d[1], d[2]]);
+                    assert_eq!(found.event(lane), expected, "{:?} {lobes:?}", asked.flux);
+                    assert_eq!(found.flux_code(lane), flux, "{:?}", asked.flux);
+                    assert_eq!(found.codes(lane), codes);
+                    assert_eq!(found.weakened(lane), asked.flux * asked.diffuse);
+                }
+            }
+        }
+        assert!(survivors > 1000 && dead > 1000, "{survivors} {dead}");
     }
 }
