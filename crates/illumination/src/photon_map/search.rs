@@ -123,10 +123,10 @@ impl Notes {
     }
 
     /// With more than `k` left, at equal distance, those at the farthest that come first in the order of
-    /// the photons' bytes stay; if there are `k`, the farthest of them is put first.
+    /// the photons' bytes stay; the farthest of all is put first.
     fn settle(&mut self, photon: impl Fn(u32) -> PhotonRecord) {
-        let k = self.k;
-        if self.len < k || k == 0 {
+        let k = self.k.min(self.len);
+        if k == 0 {
             return;
         }
         let farthest = self.d2[..self.len].iter().copied().max().unwrap_or(0);
