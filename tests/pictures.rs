@@ -62,6 +62,31 @@ fn a_furnace_is_even() {
     }
 }
 
+/// The same with a swarm of small white things in it that neither glow nor absorb: radiance is the same, on them and behind
+/// them. Most gather rays end on one of them, which is a fiftieth of the disc that a hundred photons would fill.
+#[test]
+fn a_furnace_is_even_about_small_things() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnace(dir.path(), 0.5);
+    let mut model = Model::default();
+    model.object("things");
+    model.material("white");
+    for i in 0..125 {
+        let [x, y, z] = [i % 5, i / 5 % 5, i / 25].map(|c| 0.24 * f64::from(c));
+        let centre = [2.7 + x, 1.5 + y, 1.5 + z];
+        model.turned(centre, [0.06, 0.05, 0.06], 20.0 + 13.0 * f64::from(i));
+    }
+    model.write(&dir.path().join("things.obj"), "newmtl white\nKd 1 1 1\n");
+    let text = std::fs::read_to_string(&scene).unwrap();
+    std::fs::write(&scene, text.replace("[[view]]", "[[mesh]]\nfile = \"things.obj\"\n[[view]]"))
+        .unwrap();
+    let store = light(&scene, "200k", &[]);
+    let flags = ["--width", "40", "--height", "40", "--samples", "8", "--max-samples", "8"];
+    let gather = [&GATHER[..], &flags[..], &["--gather-rays", "16"]].concat();
+    let found = mean(&render(&store, dir.path(), "g", "in", &gather), "G");
+    assert!((found - 4.0).abs() < 0.06, "{found}");
+}
+
 /// The foot of a wall that gets light from the floor before it alone: near the corner half of what it sees is floor, and most
 /// of that is nearer than the photon map's disc.
 #[test]

@@ -11,9 +11,10 @@
 //! - all else: gather rays. They follow mirrors, gloss, panes and glass; at the first matter that they meet, the light from
 //!   there is direct (one shadow ray), plus the photon map's.
 //!
-//! What is nearer than the disc of the estimate there would show the blur after all, in corners and under things; such a
-//! point sends a gather ray of its own instead, by roulette, and so on (Jensen 2001, section 10.2.3). So there is no
-//! bias but the map's, seen from afar.
+//! What is nearer than the disc of the estimate there would show the blur after all, in corners and under things; and on
+//! things smaller than the disc, flux over its area is no irradiance, however far away they are
+//! ([`enf_illumination::Irradiance::vague`]). Such a point sends a gather ray of its own instead, by roulette, and so on (Jensen 2001,
+//! section 10.2.3). So there is no bias but the map's, of what is as large as a disc and seen from afar.
 //!
 //! Gather rays are parked at portals like all others: which rooms are in memory, and when, does not matter.
 
@@ -98,12 +99,12 @@ impl Shader<'_> {
         );
         // No photon within reach: a disc as wide as it may be, and dark.
         let radius = if found.radius > 0.0 { found.radius } else { most };
-        if distance >= radius {
+        if distance >= radius && !found.vague {
             let radiance = reflected * Vec3::from(found.rgb) * core::f32::consts::FRAC_1_PI;
             self.add_indirect(record, radiance);
             return;
         }
-        // Too near for the disc of the estimate.
+        // Too near for the disc of the estimate, or too small.
         self.add_caustics(record, surface, reflected, scratch);
         let (sum, total) = (reflected.dot(Vec3::ONE), throughput.dot(Vec3::ONE));
         let survival = (sum / total).min(scatter::MAX_SURVIVAL);

@@ -4,7 +4,8 @@
 //! `x / R`, where `R` is the harmonic mean of the distances to what is around (Ward, Rubinstein and Clear 1988, "A Ray
 //! Tracing Solution for Diffuse Interreflection", the split-sphere model). Gather rays measure `R`. So a pixel
 //! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, three pixels
-//! in a corner. (A pixel that sees an edge takes that of the pixels next to it.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
+//! in a corner. (A pixel that sees an edge takes that of the pixels next to it that see edges too: those beside the edge are
+//! darker or brighter than what it is a mixture of, and light would be lost.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
 //! left alone.
 //!
 //! Bands wait for their neighbours, so that no edge shows: the same pixels whatever the budget, threads and tiles.
@@ -220,7 +221,7 @@ fn smooth(
             let window = |pixels: u32| 1.0 - squares as f32 / ((pixels + 1) * (pixels + 1)) as f32;
             // A round window, so that the reach's end is no edge; and some pixels always, for a picture shows no less.
             let weight = weight.min(window(REACH)).max(window(LEAST));
-            let alike = if flat { alike(own, there) } else { own.room == there.room };
+            let alike = if flat { alike(own, there) } else { there.normal == Vec3::ZERO };
             if weight > 0.0 && (other == pixel || alike) {
                 let reflects = Vec3::from(records[other].albedo);
                 let known = Vec3::select(reflects.cmpge(Vec3::splat(DARK)), Vec3::ONE, Vec3::ZERO);

@@ -295,3 +295,31 @@ impl Building {
             .collect()
     }
 }
+
+/// Buildings that tests of several formats write.
+#[cfg(test)]
+pub(crate) mod samples {
+    use enf_layout::light::LIGHT_AREA;
+
+    use super::*;
+
+    /// A lamp of one triangle that is there twice: listed, and once more, dark.
+    pub(crate) fn lamp() -> Building {
+        let corners = [[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]];
+        let triangle = Triangle { index: 0, corners, material: 0, places: None };
+        let record = MaterialRecord { emission: [5.0, 4.0, 3.0], ..MaterialRecord::BLACK };
+        let emitter = EmitterRecord { corners, triangle: 0, cumulative: 1.0, reserved: 0 };
+        let light = Light {
+            name: "lamp".into(),
+            record: LightRecord { kind: LIGHT_AREA, material: 0, ..LightRecord::DARK },
+            emitters: vec![emitter],
+            profile: None,
+        };
+        Building {
+            materials: vec![("lamp".into(), record)],
+            triangles: vec![triangle, Triangle { index: 1, ..triangle }],
+            lights: vec![light],
+            ..Building::default()
+        }
+    }
+}

@@ -226,7 +226,6 @@ fn camera(view: &View, shown: Shown) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::building::Triangle;
     use enf_layout::light::LightRecord;
 
     fn material(diffuse: f32, specular: f32) -> MaterialRecord {
@@ -291,23 +290,7 @@ mod tests {
 
     #[test]
     fn emitters_face_as_their_triangles_do() {
-        let corners = [[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]];
-        let triangle = Triangle { index: 0, corners, material: 0, places: None };
-        let record = MaterialRecord { emission: [5.0, 4.0, 3.0], ..MaterialRecord::BLACK };
-        let emitter =
-            enf_layout::light::EmitterRecord { corners, triangle: 0, cumulative: 1.0, reserved: 0 };
-        let light = Light {
-            name: "lamp".into(),
-            record: LightRecord { kind: LIGHT_AREA, material: 0, ..LightRecord::DARK },
-            emitters: vec![emitter],
-            profile: None,
-        };
-        let building = Building {
-            materials: vec![("lamp".into(), record)],
-            triangles: vec![triangle, Triangle { index: 1, ..triangle }],
-            lights: vec![light],
-            ..Building::default()
-        };
+        let building = crate::building::samples::lamp();
         let text = scene(&building, &mut Notes::default());
         assert!(text.contains("void light e0\n0\n0\n3 5 4 3\n"), "{text}");
         assert!(text.contains("e0 polygon t0\n0\n0\n9 0 0 2 0 1 2 1 0 2\n"), "{text}");

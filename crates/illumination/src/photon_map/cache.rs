@@ -8,7 +8,7 @@
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use enf_layout::photon::PHOTON_HALO;
+use enf_layout::photon::{PHOTON_HALO, PhotonRecord};
 use glam::Vec3;
 
 use super::gather::{Gather, GatherScratch, Irradiance, direction};
@@ -25,7 +25,8 @@ const NORMAL_COSINE: f32 = 0.95;
 const SLAB_SLOPE: f32 = 0.1;
 const SLAB_FLOOR_M: f32 = 0.004;
 
-/// One place's irradiance; the high word of `blue` is its radius, with the sign set when it is there.
+/// One place's irradiance; the high word of `blue` is its radius, with the sign set when it is there, and the lowest bit
+/// where it is vague.
 #[derive(Default)]
 struct Value {
     red: AtomicU32,
@@ -34,6 +35,7 @@ struct Value {
 }
 
 const THERE: u64 = 1 << 63;
+const VAGUE: u64 = 1 << 32;
 
 /// Where a place is. Places whose normals have the same largest axis make a kd-tree of their own: a query
 /// never looks at the table's legs to find the table's top.
@@ -55,6 +57,37 @@ pub struct IrradianceCache {
     trees: [u32; 7],
 }
 
+/// The places of a cache, from the photons of a map that is seen piece by piece.
+pub struct Places {
+    places: Vec<Place>,
+    seen: usize,
+}
+
+impl Places {
+    /// None yet, of a map with so many photons.
+    pub fn of(photons: usize) -> Self {
+        Self { places: Vec::with_capacity(photons.div_ceil(STRIDE)), seen: 0 }
+    }
+
+    /// The map's next photon ([`PhotonMap::photons`]).
+    pub fn add(&mut self, number: u32, photon: &PhotonRecord) {
+        let chosen = self.seen % STRIDE == 0;
+        self.seen += 1;
+        // A cache never has more places than were reserved.
+        let free = self.places.len() < self.places.capacity();
+        if chosen && free && photon.flags & PHOTON_HALO == 0 {
+            let [.., n0, n1, n2] = photon.directions;
+            let bin = bin_of(direction(n0, n1, n2)) as u8;
+            self.places.push(Place {
+                position: photon.position(),
+                // The tree's number, until it is planted.
+                normal_axis: u32::from_le_bytes([n0, n1, n2, bin]),
+                photon: number,
+            });
+        }
+    }
+}
+
 /// A place that was found: squared distance, then index.
 #[derive(Clone, Copy)]
 struct Near {
@@ -70,19 +103,14 @@ impl IrradianceCache {
 
     /// An empty cache for a map; the caller has the memory reserved.
     pub fn new(map: &PhotonMap<'_>) -> Self {
-        let mut places = Vec::with_capacity(map.len().div_ceil(STRIDE));
-        for (i, photon) in map.photons().step_by(STRIDE) {
-            if photon.flags & PHOTON_HALO == 0 {
-                let [.., n0, n1, n2] = photon.directions;
-                let bin = bin_of(direction(n0, n1, n2)) as u8;
-                places.push(Place {
-                    position: photon.position(),
-                    // The tree's number, until it is planted.
-                    normal_axis: u32::from_le_bytes([n0, n1, n2, bin]),
-                    photon: i,
-                });
-            }
-        }
+        let mut places = Places::of(map.len());
+        map.photons().for_each(|(number, photon)| places.add(number, &photon));
+        Self::at_places(places)
+    }
+
+    /// An empty cache at these places.
+    pub fn at_places(places: Places) -> Self {
+        let mut places = places.places;
         places.sort_unstable_by_key(|place| (place.axis(), place.photon));
         let trees =
             [0, 1, 2, 3, 4, 5, 6].map(|bin| places.partition_point(|p| p.axis() < bin) as u32);
@@ -99,7 +127,7 @@ impl IrradianceCache {
 
     /// Irradiance at `point` (m) with unit `normal`, W/m²: the mean of the nearest places, or, where none is near, a
     /// gather of its own; with the mean radius of the discs that it comes from: what is nearer than that is
-    /// blurred. `photons` counts those of a gather of its own, else 0. `gather`, `portals` and the map must be the same at every
+    /// blurred. It is vague if one of them is. `photons` counts those of a gather of its own, else 0. `gather`, `portals` and the map must be the same at every
     /// call.
     pub fn estimate(
         &self,
@@ -127,19 +155,21 @@ impl IrradianceCache {
             return map.irradiance(point, normal, gather, portals, scratch);
         }
         let (mut sum, mut radius, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
+        let mut vague = false;
         for place in &near[..found] {
             let weight = 1.0 - place.d2 / farthest;
             if weight > 0.0 {
-                let (rgb, r) = self.at(map, place.index as usize, gather, portals, scratch);
-                sum += rgb * weight;
-                radius += r * weight;
+                let at = self.at(map, place.index as usize, gather, portals, scratch);
+                sum += Vec3::from(at.rgb) * weight;
+                radius += at.radius * weight;
+                vague |= at.vague;
                 total += weight;
             }
         }
-        Irradiance { rgb: (sum / total).to_array(), photons: 0, radius: radius / total }
+        Irradiance { rgb: (sum / total).to_array(), photons: 0, radius: radius / total, vague }
     }
 
-    /// Irradiance at a place, and the radius of the disc that it comes from.
+    /// Irradiance at a place.
     fn at(
         &self,
         map: &PhotonMap<'_>,
@@ -147,28 +177,36 @@ impl IrradianceCache {
         gather: &Gather,
         portals: &PortalSet<'_>,
         scratch: &mut GatherScratch,
-    ) -> (Vec3, f32) {
+    ) -> Irradiance {
         let value = &self.values[index];
-        let blue = value.blue.load(Ordering::Acquire);
-        if blue & THERE != 0 {
-            let rgb = Vec3::new(
-                f32::from_bits(value.red.load(Ordering::Relaxed)),
-                f32::from_bits(value.green.load(Ordering::Relaxed)),
-                f32::from_bits(blue as u32),
-            );
-            return (rgb, f32::from_bits(((blue & !THERE) >> 32) as u32));
+        let mut blue = value.blue.load(Ordering::Acquire);
+        if blue & THERE == 0 {
+            let place = &self.places[index];
+            let normal = place.normal().normalize();
+            let point = Vec3::from(place.position);
+            let found = map.irradiance(point, normal, gather, portals, scratch);
+            if scratch.is_missing() {
+                return Irradiance::default();
+            }
+            // Two threads may both have computed it; they write the same bits.
+            let [red, green, low] = found.rgb.map(f32::to_bits);
+            value.red.store(red, Ordering::Relaxed);
+            value.green.store(green, Ordering::Relaxed);
+            let radius = u64::from(found.radius.to_bits()) << 32 & !VAGUE;
+            blue = THERE | radius | if found.vague { VAGUE } else { 0 } | u64::from(low);
+            value.blue.store(blue, Ordering::Release);
         }
-        let place = &self.places[index];
-        let normal = place.normal().normalize();
-        let point = Vec3::from(place.position);
-        let Irradiance { rgb, radius, .. } =
-            map.irradiance(point, normal, gather, portals, scratch);
-        // Two threads may both have computed it; they write the same bits.
-        value.red.store(rgb[0].to_bits(), Ordering::Relaxed);
-        value.green.store(rgb[1].to_bits(), Ordering::Relaxed);
-        let high = u64::from(radius.to_bits()) << 32;
-        value.blue.store(THERE | high | u64::from(rgb[2].to_bits()), Ordering::Release);
-        (Vec3::from(rgb), radius)
+        let (red, green) = (&value.red, &value.green);
+        Irradiance {
+            rgb: [
+                f32::from_bits(red.load(Ordering::Relaxed)),
+                f32::from_bits(green.load(Ordering::Relaxed)),
+                f32::from_bits(blue as u32),
+            ],
+            photons: 0,
+            radius: f32::from_bits(((blue & !THERE & !VAGUE) >> 32) as u32),
+            vague: blue & VAGUE != 0,
+        }
     }
 }
 

@@ -27,6 +27,9 @@ pub const SLAB_SLOPE: f32 = 0.25;
 pub const SLAB_FLOOR_RADII: f32 = 0.02;
 /// but the latter by no more than this, m.
 pub const SLAB_FLOOR_M: f32 = 0.01;
+/// Fewest photons that end the disc where they end, when there are not as many as were looked for: fewer might be close to
+/// each other by chance, and too bright.
+pub const ENDING_PHOTONS: usize = 8;
 /// The disc that flux is divided by has at least this radius, as a part of the largest,
 pub const SMALLEST_DISC_RADII: f32 = 1e-3;
 /// or this one, m, if that is smaller: photons in one spot are no infinity.
@@ -66,6 +69,9 @@ pub struct Irradiance {
     pub photons: u32,
     /// Radius of the disc that they fill, m; 0 if there are none.
     pub radius: f32,
+    /// Whether the disc says little about the point: it has hardly a photon, or is mostly not there, or its photons crowd in
+    /// the middle or about it. So it is on things that are smaller than the disc, on bars and slats, and where light ends.
+    pub vague: bool,
 }
 
 /// Working memory of one thread that gathers; use it again and again.
@@ -105,6 +111,17 @@ impl GatherScratch {
             + self.openings.capacity() * size_of::<Opening>()
     }
 
+    /// A piece that searches since the last call needed, of a map that has pieces which are not in memory
+    /// ([`PhotonMap::from_outlines`]). What was found since then is to be asked for again, with that piece.
+    pub fn missing(&mut self) -> Option<u32> {
+        self.notes.take_missing()
+    }
+
+    /// Whether a piece is missing, which stays so.
+    pub(super) fn is_missing(&self) -> bool {
+        self.notes.is_missing()
+    }
+
     /// The square of a radius that probably holds what is looked for: queries that follow each other are often neighbours.
     fn guess2(&self, point: Vec3) -> f32 {
         self.last.map_or(f32::INFINITY, |(at, radius)| {
@@ -118,7 +135,7 @@ impl GatherScratch {
     }
 }
 
-/// The nearest photons, the farthest of them first if there are as many as were looked for, the others in no order.
+/// The nearest photons, the farthest of them first, the others in no order.
 #[derive(Clone, Copy, Debug)]
 pub struct Nearest<'a> {
     notes: &'a Notes,
@@ -171,9 +188,10 @@ impl PhotonMap<'_> {
     /// Irradiance on the front of a surface at `point` (m) with unit `normal`, from the nearest photons
     /// that count (see above).
     ///
-    /// If `k` photons are found within the radius, the farthest gives the disc and the others the flux
-    /// (this form is unbiased in a uniform field); if fewer, all count and the disc has the full
-    /// radius. No photon, no light: all zero. So it is for points, normals or radii that are no numbers.
+    /// The farthest of the photons that are found gives the disc and the others the flux (this form is unbiased in a uniform
+    /// field, whether the `k`-th or the last within the radius is the farthest); if they are fewer than `k` and
+    /// than [`ENDING_PHOTONS`], all count and the disc has the full radius. No photon, no light: all zero. So it is for
+    /// points, normals or radii that are no numbers.
     ///
     /// `portals` are all openings of the map's room. The result's bits depend on the room's photons,
     /// not on the tree, nor on which of the photons are halo as long as they are visible.
@@ -334,11 +352,11 @@ fn estimate(
 ) -> Irradiance {
     let (found, distances) = (notes.photons(), notes.distances2());
     if found.is_empty() {
-        return Irradiance::default();
+        return Irradiance { vague: true, ..Irradiance::default() };
     }
     let smallest = SMALLEST_DISC_M.min(SMALLEST_DISC_RADII * largest_radius);
     let (mut radius, mut skipped) = (largest_radius, 0);
-    if notes.is_full() {
+    if notes.is_full() || found.len() >= ENDING_PHOTONS {
         // The first is the farthest photon: it gives the disc, unless the disc has a size anyway.
         let farthest = f32::from_bits(distances[0]).sqrt();
         radius = farthest.max(smallest);
@@ -349,10 +367,12 @@ fn estimate(
     // Photons in one spot have no edges.
     let enough = if radius > smallest { found.len() } else { 0 };
     let mut lit = Lit::new(enough, normal);
+    let mut moment = Moment::new(r2);
     let mut exponent = 0;
     for (&number, &d2) in found.iter().zip(distances) {
         let (block, i) = map.place(number);
         exponent = exponent.max(block.flux[i][3]);
+        moment.add(d2);
         if lit.sectors > 0 && block.direction_flags[i] & CAUSTIC == 0 {
             lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
         }
@@ -382,11 +402,14 @@ fn estimate(
         }
     }
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
-    let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
+    let part = lit.share(r2, kernel);
+    let area = std::f64::consts::PI * r2 * kernel.volume() * part;
+    let few = !notes.is_full() && found.len() < FEWEST_TELLING;
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
         photons: notes.photons().len() as u32,
         radius,
+        vague: few || part < VAGUE_PART || moment.is_uneven(found.len()),
     }
 }
 
@@ -415,6 +438,49 @@ impl Kernel {
             Self::Cone => 3.0 * power(x, 1.0) - 2.0 * power(x * x.sqrt(), 1.5),
             Self::Epanechnikov => 2.0 * power(x, 1.0) - power(x * x, 2.0),
         }
+    }
+}
+
+/// Fewer photons than these, when there are no more within the radius, are too few to tell anything.
+const FEWEST_TELLING: usize = 4 * SECTOR_PHOTONS;
+/// A smaller part of a disc is vague: less than is there at a straight edge, by what it may vary.
+const VAGUE_PART: f64 = 0.4;
+/// Photons are as far from the point as they should be if their mean squared distance is half the disc's, but for this part of
+/// the disc's,
+const UNEVEN: f64 = 0.1;
+/// and for so many standard deviations of such a mean.
+const UNEVEN_DEVIATIONS: f64 = 4.0;
+
+/// Mean squared distance of a disc's photons. In even light, on a surface that goes on, it is half the squared radius; less
+/// where they are on a bar or crowd in a bright spot, more about a dark one. A gradient does not change it, an edge
+/// hardly.
+struct Moment {
+    r2: f64,
+    /// Of squared distances as parts of the disc's, at 2^-32: whole numbers, so that the order does not matter.
+    sum: u64,
+}
+
+impl Moment {
+    fn new(r2: f64) -> Self {
+        Self { r2, sum: 0 }
+    }
+
+    #[inline]
+    fn add(&mut self, d2: u32) {
+        let part = f64::from(f32::from_bits(d2)) / self.r2;
+        self.sum = self.sum.saturating_add((part * 4_294_967_296.0) as u64);
+    }
+
+    /// Whether that cannot be chance.
+    fn is_uneven(&self, photons: usize) -> bool {
+        if photons < FEWEST_TELLING {
+            return false;
+        }
+        let n = photons as f64;
+        let mean = self.sum as f64 / 4_294_967_296.0 / n;
+        // The deviation of one is that of an even number between 0 and 1.
+        let chance = UNEVEN_DEVIATIONS * (1.0 / (12.0 * n)).sqrt();
+        (mean - 0.5).abs() > UNEVEN.max(chance)
     }
 }
 

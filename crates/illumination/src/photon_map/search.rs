@@ -44,6 +44,8 @@ pub(super) struct Notes {
     len: usize,
     k: usize,
     full: usize,
+    /// A piece that a search has come to and that is not in memory; stays until it is asked for.
+    missing: Option<u32>,
 }
 
 impl Notes {
@@ -117,16 +119,26 @@ impl Notes {
         limit
     }
 
+    /// A piece that searches since the last call lacked: what they found is not all.
+    pub(super) fn take_missing(&mut self) -> Option<u32> {
+        self.missing.take()
+    }
+
+    /// Whether a search since then has lacked one.
+    pub(super) fn is_missing(&self) -> bool {
+        self.missing.is_some()
+    }
+
     /// Whether `k` were found.
     pub(super) fn is_full(&self) -> bool {
         self.k > 0 && self.len == self.k
     }
 
     /// With more than `k` left, at equal distance, those at the farthest that come first in the order of
-    /// the photons' bytes stay; if there are `k`, the farthest of them is put first.
+    /// the photons' bytes stay; the farthest of all is put first.
     fn settle(&mut self, photon: impl Fn(u32) -> PhotonRecord) {
-        let k = self.k;
-        if self.len < k || k == 0 {
+        let k = self.k.min(self.len);
+        if k == 0 {
             return;
         }
         let farthest = self.d2[..self.len].iter().copied().max().unwrap_or(0);
@@ -209,6 +221,9 @@ struct Waiting {
 
 const ABOVE: u32 = u32::MAX;
 
+/// In place of the level of a piece that is not in memory.
+pub(super) const ABSENT: u32 = u32::MAX;
+
 /// Boxes that wait, the nearest last.
 #[derive(Clone, Debug)]
 pub(super) struct Stack {
@@ -282,6 +297,9 @@ impl<F: Filter> Search<'_, F> {
                         bound = if near < bound { near } else { bound };
                     }
                 }
+            } else if next.level == ABSENT {
+                self.notes.missing.get_or_insert(next.piece);
+                return;
             } else {
                 let node = self.map.node(next.piece, next.level, next.index);
                 let d2 = box_distances(node, &self.point);

@@ -59,8 +59,8 @@ fn brute_force(
     }
     let number = found.len() as u32;
     let (mut radius, smallest) = (gather.radius, SMALLEST_DISC_M.min(1e-3 * gather.radius));
-    if found.len() == k {
-        let farthest = f32::from_bits(found[k - 1].0).sqrt();
+    if found.len() == k || found.len() >= ENDING_PHOTONS {
+        let farthest = f32::from_bits(found[found.len() - 1].0).sqrt();
         radius = farthest.max(smallest);
         if farthest >= smallest {
             found.pop();
@@ -373,6 +373,73 @@ fn edges_and_corners_are_not_dark() {
     }
 }
 
+/// Things smaller than the disc that would hold `k` photons: their own photons end the disc. A leg, and slats with gaps
+/// between them, are vague; so is what has next to no photon, and the edge of a bright spot; a plain floor, its edge and a gradient
+/// are not.
+#[test]
+fn small_things_have_their_irradiance_or_are_vague() {
+    let mut r = Random(321);
+    let mut asked = |photons: &[PhotonRecord], at: [f32; 2], k: u32| {
+        let gather = Gather { photons: k, radius: 0.6, kernel: Kernel::Constant };
+        let at = Vec3::new(at[0], at[1], 0.0);
+        ask(&blob(photons, 0.6), at, Vec3::Z, &gather, &PortalSet::none())
+    };
+    let runs = 300;
+    // A square of 10 cm, seen at its middle, near its edge and in its corner; the whole disc is 113 times as large.
+    for (at, limits) in
+        [([0.05, 0.05], (0.85, 1.1)), ([0.05, 0.01], (0.8, 1.1)), ([0.0, 0.0], (0.6, 1.1))]
+    {
+        let mut mean = 0.0;
+        for _ in 0..runs {
+            let e = asked(&field(60, [0.1, 0.1], &mut r), at, 120);
+            assert!(e.radius < 0.142, "{}", e.radius);
+            mean += e.rgb[0] / 6_000.0 / runs as f32;
+        }
+        // One varies by a fifth: 4 deviations of the mean are 0.05.
+        assert!(mean > limits.0 && mean < limits.1, "at {at:?}: {mean}");
+    }
+    let mut vague =
+        |name: &str, at: [f32; 2], k: u32, photons: &mut dyn FnMut() -> Vec<PhotonRecord>| {
+            let count = (0..runs).filter(|_| asked(&photons(), at, k).vague).count();
+            println!("{name}: {count} of {runs}");
+            count as f32 / runs as f32
+        };
+    let moved = |mut photons: Vec<PhotonRecord>, by: [f32; 2]| {
+        for p in &mut photons {
+            let [x, y, z] = p.position();
+            p.position_bits = [x + by[0], y + by[1], z].map(f32::to_bits);
+        }
+        photons
+    };
+    let mut r = Random(322);
+    assert_eq!(vague("leg", [0.02, 0.4], 120, &mut || field(150, [0.04, 0.8], &mut r)), 1.0);
+    assert_eq!(vague("a few photons", [0.5, 0.5], 120, &mut || field(10, [1.0, 1.0], &mut r)), 1.0);
+    let mut spot = || {
+        let mut all = field(400, [2.0, 2.0], &mut r);
+        all.extend(moved(field(60, [0.1, 0.1], &mut r), [0.95, 0.95]));
+        all
+    };
+    assert_eq!(vague("a bright spot", [1.0, 1.0], 120, &mut spot), 1.0);
+    let mut slats = || {
+        (0..5)
+            .flat_map(|i| moved(field(60, [0.1, 2.0], &mut r), [0.6 + 0.3 * i as f32, 0.0]))
+            .collect()
+    };
+    assert!(vague("slats", [1.25, 1.0], 120, &mut slats) > 0.2);
+    for (name, at) in [("floor", [1.0, 1.0]), ("floor's edge", [1.0, 0.0]), ("near it", [1.0, 0.1])]
+    {
+        for k in [30, 120, 500] {
+            let share = vague(name, at, k, &mut || field(5_000, [2.0, 2.0], &mut r));
+            assert!(share < 0.01, "{name}, k = {k}: {share}");
+        }
+    }
+    let mut gradient = || {
+        let all = field(4_000, [2.0, 2.0], &mut r);
+        all.into_iter().filter(|p| p.position()[0] > 2.0 * r.next()).collect()
+    };
+    assert!(vague("gradient", [1.0, 1.0], 120, &mut gradient) < 0.01);
+}
+
 /// A grid of photons, one every `step` metres, on the plane z = `height`, over [-2, 2]².
 fn plane(step: f32, height: f32, normal: Vec3, flux: [f32; 3]) -> Vec<PhotonRecord> {
     let n = (2.0 / step) as i32;
@@ -428,7 +495,8 @@ fn one_photon_by_hand() {
         let gather = Gather { photons: 50, radius, kernel };
         ask(&blob, Vec3::ZERO, Vec3::Z, &gather, &PortalSet::none())
     };
-    assert_eq!(e(0.2, Kernel::Constant), Irradiance::default());
+    let nothing = Irradiance { vague: true, ..Irradiance::default() };
+    assert_eq!(e(0.2, Kernel::Constant), nothing);
     let near = |a: [f32; 3], b: f32| {
         assert!((a[0] / b - 1.0).abs() < 1e-6, "{a:?} {b}");
         assert_eq!([a[1], a[2]], [a[0] * 0.5, a[0] * 0.25]);

@@ -1,7 +1,7 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
-use enf_layout::light::{EmitterRecord, LightRecord};
+use enf_layout::light::LightRecord;
 use enf_scene::LoadOptions;
 use roxmltree::{Document, Node};
 
@@ -96,23 +96,7 @@ fn an_area_light_has_the_flux_that_the_scene_says() {
 /// Mitsuba's normals without vertex normals are (b - a) x (c - a), and `area` emits along them: as our fronts.
 #[test]
 fn only_the_front_of_the_lights_own_triangles_emits() {
-    let corners = [[0.0, 0.0, 2.0], [0.0, 1.0, 2.0], [1.0, 0.0, 2.0]];
-    let triangle = Triangle { index: 0, corners, material: 0, places: None };
-    let record = MaterialRecord { emission: [5.0, 4.0, 3.0], ..MaterialRecord::BLACK };
-    let emitter = EmitterRecord { corners, triangle: 0, cumulative: 1.0, reserved: 0 };
-    let light = Light {
-        name: "lamp".into(),
-        record: LightRecord { kind: LIGHT_AREA, material: 0, ..LightRecord::DARK },
-        emitters: vec![emitter],
-        profile: None,
-    };
-    let building = Building {
-        materials: vec![("lamp".into(), record)],
-        // The second one is there twice, and dark.
-        triangles: vec![triangle, Triangle { index: 1, ..triangle }],
-        lights: vec![light],
-        ..Building::default()
-    };
+    let building = crate::building::samples::lamp();
     let folder = tempfile::tempdir().unwrap();
     let text = scene(&building, folder.path(), &mut Notes::default()).unwrap();
     let xml = Document::parse(&text).unwrap();
