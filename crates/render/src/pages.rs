@@ -11,7 +11,7 @@ use enf_illumination::{IrradianceCache, Outline, PhotonMap, Places};
 use enf_layout::photon::PhotonRecord;
 use enf_layout::sections::Malformed;
 use enf_layout::transit::TransitRecord;
-use enf_store::{Extent, Mapped, MemoryBudget, Reservation, StageReader, StoreError};
+use enf_store::{BudgetError, Extent, Mapped, MemoryBudget, Reservation, StageReader, StoreError};
 use parking_lot::{Condvar, Mutex};
 
 /// A mapped extent takes whole pages.
@@ -202,6 +202,19 @@ impl Share<'_> {
         Ok(place.get().map(|piece| &piece[..]))
     }
 
+    /// A share that does not hold what a single point needs.
+    pub(crate) fn too_small(&self) -> BudgetError {
+        let largest = self.pages.pieces.iter().map(bytes_of).max().unwrap_or(0);
+        let share = self.pages.share;
+        BudgetError {
+            what: "a point where many pieces of a photon map meet",
+            needed: share + largest,
+            available: share,
+            limit: share,
+            holders: Vec::new(),
+        }
+    }
+
     fn put(&self, number: u32, piece: Mapped) {
         let bytes = self.pages.pieces.get(number as usize).map_or(0, bytes_of);
         if let Some(place) = self.places.get(number as usize)
@@ -248,5 +261,18 @@ impl<'a> Paging<'a> {
             answered: Cell::new(0),
             later: RefCell::new(Vec::new()),
         }
+    }
+
+    /// A ray waits for a piece; false if there is no room for any other, and it waits until there is.
+    pub(crate) fn wait_for(&self, piece: u32, ray: TransitRecord) -> bool {
+        if self.full.get() {
+            self.later.borrow_mut().push(ray);
+            return false;
+        }
+        // One at a time: what the first ray needs is not to be crowded out by what others need.
+        if self.wanted.get().is_none() {
+            self.wanted.set(Some(piece));
+        }
+        true
     }
 }

@@ -163,7 +163,13 @@ impl<'a> PhotonMap<'a> {
             map.photons += photons;
             map.halo += header.halo;
             map.radius = header.radius;
-            map.pieces.push(Piece { blocks: &[], first, count: *count, photons, tree: Tree::default() });
+            map.pieces.push(Piece {
+                blocks: &[],
+                first,
+                count: *count,
+                photons,
+                tree: Tree::default(),
+            });
         }
         if map.pieces.len() != wanted as usize || map.pieces.is_empty() {
             return bad(format!("{} of its {wanted} pieces are there", map.pieces.len()));
