@@ -4,8 +4,8 @@
 //! `x / R`, where `R` is the harmonic mean of the distances to what is around (Ward, Rubinstein and Clear 1988, "A Ray
 //! Tracing Solution for Diffuse Interreflection", the split-sphere model). Gather rays measure `R`. So a pixel
 //! takes the mean over neighbours that see the same plane, within a share of `R`: wide on an open wall, three pixels
-//! in a corner. (A pixel that sees an edge takes that of the pixels next to it that see edges too: those beside the edge are
-//! darker or brighter than what it is a mixture of, and light would be lost.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
+//! in a corner. (A pixel that sees an edge takes the mean over those near it that see a like mixture: those beside the edge are
+//! darker or brighter than the mixture, and light would be lost.) What is averaged is what arrives; the pixel's own albedo reflects it, textures stay sharp. Direct light and caustics are
 //! left alone.
 //!
 //! Bands wait for their neighbours, so that no edge shows: the same pixels whatever the budget, threads and tiles.
@@ -31,6 +31,8 @@ const ALIKE_NEAR: f32 = 1.2;
 const ALONG: f32 = 4.0;
 /// Least cosine between the normals of pixels that see one surface.
 const SAME_NORMAL: f32 = 0.97;
+/// Mixtures are alike if their mean normals and albedos, as one vector, differ by less.
+const SAME_MIXTURE: f32 = 0.12;
 /// Least length of a mean normal: below, the pixel sees several surfaces.
 const FLAT: f32 = 0.98;
 /// How far from the plane of one pixel another one may be, of their distance.
@@ -210,7 +212,7 @@ fn smooth(
         let albedo = Vec3::from(record.albedo);
         let reach = share / near[pixel].max(1e-6);
         let (mut sum, mut weights) = (Vec3::ZERO, Vec3::ZERO);
-        let pixels = if flat { REACH } else { 1 };
+        let pixels = if flat { REACH } else { LEAST };
         context.neighbours(first_pixel, count, pixel, pixels, |other, squares| {
             let there = &seen[other];
             // Along a corner, where the surroundings stay as near, light changes less than across.
@@ -221,8 +223,19 @@ fn smooth(
             let window = |pixels: u32| 1.0 - squares as f32 / ((pixels + 1) * (pixels + 1)) as f32;
             // A round window, so that the reach's end is no edge; and some pixels always, for a picture shows no less.
             let weight = weight.min(window(REACH)).max(window(LEAST));
-            let alike = if flat { alike(own, there) } else { there.normal == Vec3::ZERO };
-            if weight > 0.0 && (other == pixel || alike) {
+            let weight = match flat {
+                true if alike(own, there) => weight,
+                false if there.normal == Vec3::ZERO => {
+                    let normal = Vec3::from(records[other].normal) - Vec3::from(record.normal);
+                    let albedo = Vec3::from(records[other].albedo) - albedo;
+                    let differ2 = normal.length_squared() + albedo.length_squared();
+                    let alike = 1.0 - differ2 / (SAME_MIXTURE * SAME_MIXTURE);
+                    window(LEAST).max(0.0) * alike
+                }
+                _ if other == pixel => weight,
+                _ => 0.0,
+            };
+            if weight > 0.0 {
                 let reflects = Vec3::from(records[other].albedo);
                 let known = Vec3::select(reflects.cmpge(Vec3::splat(DARK)), Vec3::ONE, Vec3::ZERO);
                 sum += there.arrives * known * weight;

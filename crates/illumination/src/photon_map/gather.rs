@@ -366,13 +366,11 @@ fn estimate(
     let (r, r2) = (f64::from(radius), f64::from(radius) * f64::from(radius));
     // Photons in one spot have no edges.
     let enough = if radius > smallest { found.len() } else { 0 };
-    let mut lit = Lit::new(enough, normal);
-    let mut moment = Moment::new(r2);
+    let mut lit = Lit::new(enough, normal, r2);
     let mut exponent = 0;
     for (&number, &d2) in found.iter().zip(distances) {
         let (block, i) = map.place(number);
         exponent = exponent.max(block.flux[i][3]);
-        moment.add(d2);
         if lit.sectors > 0 && block.direction_flags[i] & CAUSTIC == 0 {
             lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
         }
@@ -402,14 +400,13 @@ fn estimate(
         }
     }
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
-    let part = lit.share(r2, kernel);
-    let area = std::f64::consts::PI * r2 * kernel.volume() * part;
+    let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
     let few = !notes.is_full() && found.len() < FEWEST_TELLING;
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
         photons: notes.photons().len() as u32,
         radius,
-        vague: few || part < VAGUE_PART || moment.is_uneven(found.len()),
+        vague: few || lit.is_vague(r2),
     }
 }
 
@@ -445,44 +442,10 @@ impl Kernel {
 const FEWEST_TELLING: usize = 4 * SECTOR_PHOTONS;
 /// A smaller part of a disc is vague: less than is there at a straight edge, by what it may vary.
 const VAGUE_PART: f64 = 0.4;
-/// Photons are as far from the point as they should be if their mean squared distance is half the disc's, but for this part of
-/// the disc's,
-const UNEVEN: f64 = 0.1;
-/// and for so many standard deviations of such a mean.
+/// Photons crowd if their numbers in cells vary by more than chance and edges explain: by so many standard deviations of chance,
 const UNEVEN_DEVIATIONS: f64 = 4.0;
-
-/// Mean squared distance of a disc's photons. In even light, on a surface that goes on, it is half the squared radius; less
-/// where they are on a bar or crowd in a bright spot, more about a dark one. A gradient does not change it, an edge
-/// hardly.
-struct Moment {
-    r2: f64,
-    /// Of squared distances as parts of the disc's, at 2^-32: whole numbers, so that the order does not matter.
-    sum: u64,
-}
-
-impl Moment {
-    fn new(r2: f64) -> Self {
-        Self { r2, sum: 0 }
-    }
-
-    #[inline]
-    fn add(&mut self, d2: u32) {
-        let part = f64::from(f32::from_bits(d2)) / self.r2;
-        self.sum = self.sum.saturating_add((part * 4_294_967_296.0) as u64);
-    }
-
-    /// Whether that cannot be chance.
-    fn is_uneven(&self, photons: usize) -> bool {
-        if photons < FEWEST_TELLING {
-            return false;
-        }
-        let n = photons as f64;
-        let mean = self.sum as f64 / 4_294_967_296.0 / n;
-        // The deviation of one is that of an even number between 0 and 1.
-        let chance = UNEVEN_DEVIATIONS * (1.0 / (12.0 * n)).sqrt();
-        (mean - 0.5).abs() > UNEVEN.max(chance)
-    }
-}
+/// and by more than if a good fifth of the area had none: by this, over the mean, when squared.
+const UNEVEN_AREA: f64 = 0.3;
 
 /// How much of a disc there is: at the edge of a table, or where the floor meets the wall, a disc goes on and the surface
 /// does not, and flux over the disc's area is too little.
@@ -498,17 +461,25 @@ struct Lit {
     tangents: [Vec3; 2],
     /// Photons, and the bits of the farthest one's squared distance, m².
     sector: [(u32, u32); MOST_SECTORS],
+    /// Cells of equal area: parts of [`RINGS`] rings.
+    cells: [u16; MOST_CELLS],
+    /// Rings over the squared radius.
+    rings: f64,
 }
 
 /// Sectors of a disc at most.
 const MOST_SECTORS: usize = 32;
+/// Rings about the point, each of a quarter of the disc's area.
+const RINGS: usize = 4;
+/// Cells at most: a ring has half as many as there are sectors.
+const MOST_CELLS: usize = MOST_SECTORS / 2 * RINGS;
 /// Fewest photons of a sector, on average.
 const SECTOR_PHOTONS: usize = 7;
 /// No less than this part of a disc is there: as much as in the corner of a box.
 const LEAST_PART: f64 = 0.25;
 
 impl Lit {
-    fn new(photons: usize, normal: Vec3) -> Self {
+    fn new(photons: usize, normal: Vec3, r2: f64) -> Self {
         let mut sectors = MOST_SECTORS;
         while sectors >= 4 && photons < sectors * SECTOR_PHOTONS {
             sectors /= 2;
@@ -522,7 +493,13 @@ impl Lit {
             Vec3::new(1.0 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
             Vec3::new(b, sign + normal.y * normal.y * a, -normal.y),
         ];
-        Self { sectors, tangents, sector: [(0, 0); MOST_SECTORS] }
+        Self {
+            sectors,
+            tangents,
+            sector: [(0, 0); MOST_SECTORS],
+            cells: [0; MOST_CELLS],
+            rings: RINGS as f64 / r2,
+        }
     }
 
     #[inline]
@@ -546,12 +523,44 @@ impl Lit {
         let (photons, farthest) = &mut self.sector[sector];
         *photons += 1;
         *farthest = d2.max(*farthest);
+        let ring = ((f64::from(f32::from_bits(d2)) * self.rings) as usize).min(RINGS - 1);
+        let cell = &mut self.cells[ring * MOST_SECTORS / 2 + (sector & (self.sectors / 2 - 1))];
+        *cell = cell.saturating_add(1);
+    }
+
+    /// Photons, if they are enough to tell.
+    fn told(&self) -> Option<u32> {
+        let told = self.sector.iter().map(|s| s.0).sum();
+        (self.sectors > 0 && told as usize >= self.sectors * SECTOR_PHOTONS).then_some(told)
+    }
+
+    /// Whether most of the disc is not there, or photons crowd in parts of what is there: it lies over several small things, or
+    /// one and what is about it. In even light their numbers are Poisson's: the squares of what they differ from their
+    /// means by are, on average, the means.
+    fn is_vague(&self, r2: f64) -> bool {
+        let Some(told) = self.told() else { return false };
+        let columns = self.sectors / 2;
+        // How much of each cell is there: a column is two sectors.
+        let mut there = [0.0f64; MOST_CELLS];
+        for (i, &(photons, farthest)) in self.sector[..self.sectors].iter().enumerate() {
+            let photons = f64::from(photons.max(1));
+            let end = Kernel::Constant.part(f64::from(f32::from_bits(farthest)) / r2, photons);
+            for ring in 0..RINGS {
+                let cell = ring * MOST_SECTORS / 2 + (i & (columns - 1));
+                there[cell] += 0.5 * (end * RINGS as f64 - ring as f64).clamp(0.0, 1.0);
+            }
+        }
+        let area: f64 = there.iter().sum();
+        let density = f64::from(told) / area;
+        let off = |(&n, &part): (&u16, &f64)| (f64::from(n) - density * part).powi(2);
+        let excess = self.cells.iter().zip(&there).map(off).sum::<f64>() / f64::from(told) - 1.0;
+        let chance = UNEVEN_DEVIATIONS * (2.0 / area).sqrt();
+        area < VAGUE_PART * (columns * RINGS) as f64 || excess > chance.max(UNEVEN_AREA * density)
     }
 
     /// The part of the disc, weighted with the kernel.
     fn share(&self, r2: f64, kernel: Kernel) -> f64 {
-        let told: u32 = self.sector.iter().map(|s| s.0).sum();
-        if self.sectors == 0 || (told as usize) < self.sectors * SECTOR_PHOTONS {
+        if self.told().is_none() {
             return 1.0;
         }
         let part = |&(photons, farthest): &(u32, u32)| {
