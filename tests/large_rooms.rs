@@ -70,7 +70,7 @@ fn a_map_that_does_not_fit_is_seen_piece_by_piece() {
     for (kind, flags) in [&[][..], &gather[..]].into_iter().enumerate() {
         let mut pictures = Vec::new();
         for (memory, threads, paged) in
-            [("1G", "2", false), ("128M", "1", true), ("128M", "2", true)]
+            [("1G", "2", false), ("144M", "1", true), ("144M", "2", true)]
         {
             let name = format!("{kind}-{memory}-{threads}.exr");
             ok(&mut render(memory, threads, flags, &name));
