@@ -9,6 +9,6 @@
 pub mod photon_map;
 
 pub use photon_map::{
-    Gather, GatherScratch, Irradiance, IrradianceCache, Kernel, PhotonMap, PortalSet, build_map,
-    canonical_sort, wants_halo,
+    Gather, GatherScratch, Irradiance, IrradianceCache, Kernel, Outline, PhotonMap, Places,
+    PortalSet, build_map, canonical_sort, wants_halo,
 };

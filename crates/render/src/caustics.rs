@@ -7,7 +7,7 @@
 
 use enf_illumination::photon_map::{blob_bytes, build_map};
 use enf_illumination::{Gather, GatherScratch, Kernel, PhotonMap, PortalSet};
-use enf_layout::photon::PHOTON_CAUSTIC;
+use enf_layout::photon::{PHOTON_CAUSTIC, PhotonRecord};
 use enf_layout::sections::Malformed;
 use enf_store::{Array, Buffer, MemoryBudget, StoreError};
 use glam::Vec3;
@@ -21,24 +21,28 @@ pub(crate) struct Caustics {
 }
 
 impl Caustics {
-    /// Sorts the caustic photons out of a map; `None` where there are none. It needs 24 bytes for each of them, and as many
-    /// again for a while.
+    /// Sorts the caustic photons out of those of a map, which `look` shows one at a time, twice; `None` where there are none. It needs 24
+    /// bytes for each of them, and as many again for a while. `radius` is the map's.
     pub(crate) fn of(
-        map: &PhotonMap<'_>,
+        look: impl Fn(&mut dyn FnMut(PhotonRecord)) -> Result<(), StoreError>,
+        radius: f32,
         budget: &MemoryBudget,
     ) -> Result<Option<Self>, StoreError> {
-        let photons = || map.photons().map(|(_, p)| p).filter(|p| p.flags & PHOTON_CAUSTIC != 0);
-        let count = photons().count();
+        let is_caustic = |p: &PhotonRecord| p.flags & PHOTON_CAUSTIC != 0;
+        let mut count = 0;
+        look(&mut |photon| count += usize::from(is_caustic(&photon)))?;
         if count == 0 {
             return Ok(None);
         }
         let mut caustics = Array::with_capacity(budget, count, "caustic photons")?;
-        for photon in photons() {
-            // There is room for all of them.
-            let _ = caustics.push(photon);
-        }
+        look(&mut |photon| {
+            if is_caustic(&photon) {
+                // There is room for all of them.
+                let _ = caustics.push(photon);
+            }
+        })?;
         let mut blob = Buffer::zeroed(budget, blob_bytes(count), "caustic photons")?;
-        build_map(&caustics, &mut blob, map.radius(), [0, 1], 1);
+        build_map(&caustics, &mut blob, radius, [0, 1], 1);
         Ok(Some(Self { blob }))
     }
 

@@ -55,6 +55,8 @@ pub(crate) struct Shown {
     pub(crate) spilled_records: u64,
     /// Loads of rooms' maps and lights.
     pub(crate) room_loads: u64,
+    /// Rooms whose maps were in memory in part only.
+    pub(crate) rooms_in_part: u64,
 }
 
 /// Ways to the other threads.

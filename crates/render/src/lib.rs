@@ -13,6 +13,7 @@ mod daylight;
 mod driver;
 mod film;
 mod gather;
+mod pages;
 mod rooms;
 mod shade;
 mod smooth;
@@ -77,19 +78,26 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
         budget: &budget,
         delta: tables.scene.delta,
     };
+    let views = camera::views(args, &tables, &reader, &maps)?;
+    let fixed = Fixed::new(cli, &tables, &views);
+    let mut mesh = 0;
+    for tile in 0..tables.tiles().len() as u32 {
+        mesh = mesh.max(reader.peak_bytes(tile)?);
+    }
     let rooms = RoomReader {
         tables: &tables,
         trace: &trace,
         maps: &maps,
         budget: &budget,
         indirect: args.indirect,
+        most: budget.available().saturating_sub(fixed.all() + mesh),
+        threads: common.threads as u64,
     };
-    let views = camera::views(args, &tables, &reader, &maps)?;
     let pictures = outputs(&cli.output, &args.formats, &views)?;
 
     if session::may_work(&store, StageKind::Render, cli.force) {
         let most = hungriest(&tables, &reader, &rooms)?;
-        refuse_if_hopeless(cli, &Fixed::new(cli, &views), most, &budget)?;
+        refuse_if_hopeless(cli, &fixed, most, &budget)?;
     }
     let identity = identity(&store, cli, &views)?;
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
@@ -106,6 +114,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     stats.set("rays_shadow", shown.shadow);
     stats.set("rays_gather", shown.gathers);
     stats.set("maps_loaded", shown.room_loads);
+    stats.set("maps_in_part", shown.rooms_in_part);
     stats.set("light_outside_sets_share", shown.found.share());
     if shown.found.all > 0 {
         let percent = 100.0 * shown.found.share();
@@ -143,10 +152,12 @@ struct Fixed {
     band: u64,
     /// What smoothing takes.
     smoothing: u64,
+    /// Which tiles are neighbours.
+    neighbours: u64,
 }
 
 impl Fixed {
-    fn new(cli: &Cli, views: &[View]) -> Self {
+    fn new(cli: &Cli, tables: &Tables, views: &[View]) -> Self {
         let (common, args) = (&cli.common, &cli.render);
         let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
         let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
@@ -157,7 +168,12 @@ impl Fixed {
                 + bytes_in_flight(common, args, block),
             band: bands::bytes(pixels),
             smoothing: if args.smooths() { smooth::bytes(pixels, widest) } else { 0 },
+            neighbours: Neighbours::bytes(tables),
         }
+    }
+
+    fn all(&self) -> u64 {
+        self.rays + self.band + self.smoothing + self.neighbours
     }
 }
 
@@ -192,7 +208,7 @@ fn refuse_if_hopeless(
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
     let Some((room, mesh, map)) = most else { return Ok(()) };
     let film = fixed.band + fixed.smoothing;
-    let needs = fixed.rays + film + mesh + map;
+    let needs = fixed.all() + mesh + map;
     if needs <= budget.available() {
         return Ok(());
     }
@@ -203,14 +219,19 @@ fn refuse_if_hopeless(
         mib(mesh),
         mib(map),
         mib(film),
-        mib(fixed.rays),
+        mib(fixed.rays + fixed.neighbours),
         mib(budget.reserved())
     ))
-    .with_hint(format!(
-        "--memory {}M would do, or cut it into smaller tiles: enf-partition --memory {}M",
-        mib((needs + budget.reserved()) * 5 / 4),
-        common.memory >> 20
-    )))
+    .with_hint({
+        let enough = format!("--memory {}M would do", mib((needs + budget.reserved()) * 5 / 4));
+        match mesh > map {
+            true => format!(
+                "{enough}, or cut it into smaller tiles: enf-partition --memory {}M",
+                common.memory >> 20
+            ),
+            false => format!("{enough}, or --indirect none, which needs no map"),
+        }
+    }))
 }
 
 /// Jobs that are handed out and not done: each thread has one at hand while it works at one, and the main thread one to give.
@@ -340,10 +361,10 @@ fn render(
     let (common, args) = (&cli.common, &cli.render);
     let budget = session.budget.clone();
     let tables = room_reader.tables;
-    let fixed = Fixed::new(cli, views);
+    let fixed = Fixed::new(cli, tables, views);
     let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
     let _rays = budget.reserve(fixed.rays, "rays in transit and in flight")?;
-    let _neighbours = budget.reserve(Neighbours::bytes(tables), "neighbours of tiles")?;
+    let _neighbours = budget.reserve(fixed.neighbours, "neighbours of tiles")?;
 
     let mut first_pixels = vec![0u32];
     for view in views {
@@ -353,6 +374,7 @@ fn render(
     let power = daylight::power(tables.lights());
     let context = Context {
         tables,
+        maps: room_reader.maps,
         bsp: tables.bsp()?,
         views,
         first_pixels: &first_pixels,
@@ -419,7 +441,7 @@ fn render(
                         }));
                     drop(span);
                     let result = match ran {
-                        Ok(products) => products.map_err(|e| StoreError::from(e).into()),
+                        Ok(products) => products.map_err(StoreError::into),
                         Err(_) => Err(Failure::internal("a rendering thread failed")),
                     };
                     if done.send(result).is_err() {
@@ -452,6 +474,8 @@ fn render(
         let loads = tiles.loads().clone();
         let mut shown = state.shown;
         shown.room_loads = rooms.loads().values().map(|&n| u64::from(n)).sum();
+        let in_part = rooms.loads().keys().filter(|&&room| room_reader.is_in_part(room));
+        shown.rooms_in_part = in_part.count() as u64;
         drop((tiles, rooms));
         loaders.into_iter().for_each(|loader| drop(loader.join()));
         driven.and_then(|()| Ok(writer.seal()?)).map(|()| (shown, loads))

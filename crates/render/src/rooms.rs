@@ -2,6 +2,7 @@
 
 use enf_illumination::{IrradianceCache, PhotonMap};
 use enf_layout::journal::LightPairRecord;
+use enf_layout::photon::PhotonRecord;
 use enf_layout::sections::Malformed;
 use enf_layout::segment::ExtentKind;
 use enf_stage::Result;
@@ -10,11 +11,9 @@ use enf_stage::tables::Tables;
 use enf_store::{MemoryBudget, StageReader, StoreError};
 
 use crate::caustics::Caustics;
-use crate::shade::{RoomLight, RoomMap};
+use crate::pages::{Pages, Plan};
+use crate::shade::{MapMemory, RoomLight, RoomMap};
 use crate::{Indirect, daylight};
-
-/// A mapped extent takes whole pages.
-const PAGES: u64 = 8 << 10;
 
 /// Loads rooms.
 #[derive(Clone, Copy)]
@@ -25,17 +24,32 @@ pub(crate) struct RoomReader<'a> {
     pub(crate) maps: &'a StageReader,
     pub(crate) budget: &'a MemoryBudget,
     pub(crate) indirect: Indirect,
+    /// Bytes that a room's map may take, with the irradiance at its photons; a larger one is in memory in part.
+    pub(crate) most: u64,
+    /// Threads that ask.
+    pub(crate) threads: u64,
 }
 
 impl RoomReader<'_> {
-    /// Bytes of a room's map and of the irradiance that is kept at its photons; none where no map is asked.
+    /// Bytes of a room's map, as far as it is in memory, and of the irradiance that is kept at its photons; none where no map is asked.
     pub(crate) fn bytes(&self, room: u32) -> u64 {
         if self.indirect == Indirect::None {
             return 0;
         }
-        let extents = self.maps.find(ExtentKind::Map, room);
-        let photons = extents.iter().map(|e| e.count as usize).sum();
-        extents.iter().map(|e| e.raw_bytes + PAGES).sum::<u64>() + IrradianceCache::bytes(photons)
+        let (plan, cache) = self.plan(room);
+        plan.bytes() + cache
+    }
+
+    /// Whether a room's map is too large to be in memory as a whole.
+    pub(crate) fn is_in_part(&self, room: u32) -> bool {
+        self.indirect != Indirect::None && matches!(self.plan(room).0, Plan::Shares(..))
+    }
+
+    /// How a room's map is kept, and the bytes of the irradiance at its photons.
+    fn plan(&self, room: u32) -> (Plan, u64) {
+        let pieces = self.maps.find(ExtentKind::Map, room);
+        let cache = IrradianceCache::bytes(pieces.iter().map(|e| e.count as usize).sum());
+        (Plan::of(pieces, self.most.saturating_sub(cache), self.threads), cache)
     }
 
     /// Lights that reach a room, ascending, and how much of the room each lights: a factor of its importance.
@@ -80,19 +94,40 @@ impl Load for RoomReader<'_> {
         if self.indirect == Indirect::None {
             return Ok(RoomLight { map: None, lights, sun });
         }
-        let extents = self.maps.find(ExtentKind::Map, room);
-        let photons = extents.iter().map(|e| e.count as usize).sum();
-        let bytes = IrradianceCache::bytes(photons);
+        let pieces = self.maps.find(ExtentKind::Map, room);
+        let (plan, bytes) = self.plan(room);
         let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
-        let map: Vec<_> = extents
-            .iter()
-            .map(|e| self.maps.map(e, self.budget, "photon map"))
-            .collect::<std::result::Result<_, _>>()?;
-        let photons = PhotonMap::from_pieces(map.iter().map(|m| &m[..]))?;
-        let cache = IrradianceCache::new(&photons);
-        let caustics = match self.indirect {
-            Indirect::FinalGather => Caustics::of(&photons, self.budget)?,
-            _ => None,
+        let gathers = self.indirect == Indirect::FinalGather;
+        let (map, cache, caustics) = match plan {
+            Plan::Whole(_) => {
+                let map: Vec<_> = pieces
+                    .iter()
+                    .map(|e| self.maps.map(e, self.budget, "photon map"))
+                    .collect::<std::result::Result<_, _>>()?;
+                let photons = PhotonMap::from_pieces(map.iter().map(|m| &m[..]))?;
+                let cache = IrradianceCache::new(&photons);
+                let look = |each: &mut dyn FnMut(PhotonRecord)| {
+                    photons.photons().for_each(|(_, photon)| each(photon));
+                    Ok(())
+                };
+                let caustics = match gathers {
+                    true => Caustics::of(look, photons.radius(), self.budget)?,
+                    false => None,
+                };
+                (MapMemory::Whole(map), cache, caustics)
+            }
+            Plan::Shares(shares, share) => {
+                let pages = Pages::new(self.maps, pieces, shares, share, self.budget)?;
+                let cache = pages.cache(self.maps)?;
+                let look = |each: &mut dyn FnMut(PhotonRecord)| {
+                    pages.each_photon(self.maps, |_, photon| each(photon))
+                };
+                let caustics = match gathers {
+                    true => Caustics::of(look, pages.radius()?, self.budget)?,
+                    false => None,
+                };
+                (MapMemory::Pages(pages), cache, caustics)
+            }
         };
         let map = RoomMap { map, cache, caustics, _reservation: reservation };
         Ok(RoomLight { map: Some(map), lights, sun })

@@ -7,7 +7,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use enf_geometry::{Hit, Query};
+use enf_geometry::{Hit, Query, Structure};
 use enf_illumination::{Gather, GatherScratch, IrradianceCache, PhotonMap, PortalSet};
 use enf_image::Film;
 use enf_layout::NONE;
@@ -19,7 +19,7 @@ use enf_layout::transit::{TRANSIT_CAMERA, TRANSIT_GATHER, TRANSIT_SHADOW, Transi
 use enf_rooms::Bsp;
 use enf_stage::resident::TileData;
 use enf_stage::tables::Tables;
-use enf_store::{Buffer, Mapped, Reservation};
+use enf_store::{Buffer, Mapped, Reservation, StageReader, StoreError};
 use enf_transport::emission;
 use enf_transport::flight::{self, Flight, Resident, Surface};
 use enf_transport::lamp;
@@ -35,6 +35,7 @@ use crate::bands::{self, Films, Lives};
 use crate::camera::{self, View};
 use crate::caustics::Caustics;
 use crate::daylight;
+use crate::pages::{Pages, Paging, Share};
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
@@ -63,10 +64,17 @@ pub(crate) struct RoomLight {
     pub(crate) sun: bool,
 }
 
-/// A photon map in memory, and the irradiance that was gathered from it so far.
+/// How a photon map is in memory.
+pub(crate) enum MapMemory {
+    /// All its pieces.
+    Whole(Vec<Mapped>),
+    /// Some of them at a time.
+    Pages(Pages),
+}
+
+/// A photon map, and the irradiance that was gathered from it so far.
 pub(crate) struct RoomMap {
-    /// Its pieces.
-    pub(crate) map: Vec<Mapped>,
+    pub(crate) map: MapMemory,
     pub(crate) cache: IrradianceCache,
     /// For final gathering, where there are any.
     pub(crate) caustics: Option<Caustics>,
@@ -182,6 +190,8 @@ impl Products {
 /// What every job needs to know.
 pub(crate) struct Context<'a> {
     pub(crate) tables: &'a Tables,
+    /// Where maps come from, piece by piece.
+    pub(crate) maps: &'a StageReader,
     pub(crate) bsp: Bsp<'a>,
     pub(crate) views: &'a [View],
     /// First pixel of each view, and the end.
@@ -263,6 +273,8 @@ pub(crate) struct Shader<'a> {
     lights: &'a [(u32, f32)],
     sun: bool,
     films: &'a Films,
+    /// Where the map is not whole.
+    paging: Option<Paging<'a>>,
 }
 
 impl Context<'_> {
@@ -348,30 +360,78 @@ impl Context<'_> {
         }
     }
 
-    pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, Malformed> {
+    pub(crate) fn run(&self, job: &Job, scratch: &mut Scratch) -> Result<Products, StoreError> {
+        let mut products = Products { tile: job.tile.tile, ..Products::default() };
+        match &job.work {
+            Work::Waiting { records, range } => {
+                products.lives.add_all(&records.records()[range.clone()], -1);
+            }
+            Work::Camera { first_pixel, indices, .. } => {
+                let rays = (indices.end - indices.start) as i64;
+                products.lives.add(bands::band_of(*first_pixel), -rays);
+            }
+        }
+        let pages = match job.light.map.as_ref().map(|room| &room.map) {
+            Some(MapMemory::Pages(pages)) => Some(pages),
+            _ => None,
+        };
+        let mut share = pages.map(Pages::take_share);
         let structure = job.tile.structure()?;
+        // Rays that wait for pieces of the map for which there was no room.
+        let mut left = None;
+        loop {
+            let shader = self.shader(job, &structure, share.as_ref())?;
+            let Some(paging) = shader.follow_job(job, left.as_deref(), scratch, &mut products)?
+            else {
+                break;
+            };
+            let later = paging.later.into_inner();
+            if later.is_empty() {
+                break;
+            }
+            if left.is_some() && paging.answered.get() == 0 {
+                return Err(paging.share.too_small().into());
+            }
+            left = Some(later);
+            if let Some(share) = &mut share {
+                share.clear();
+            }
+        }
+        let Products { parked, lives, .. } = &mut products;
+        parked.iter().for_each(|lane| lives.add_all(&lane.records, 1));
+        Ok(products)
+    }
+
+    /// Everything that a job's rays ask.
+    fn shader<'s>(
+        &'s self,
+        job: &'s Job,
+        structure: &'s Structure<'s>,
+        share: Option<&'s Share<'s>>,
+    ) -> Result<Shader<'s>, StoreError> {
         let texturing = Texturing {
             textures: self.tables.textures(),
             texels: self.tables.texels(),
             coordinates: Coordinates::from_blob(job.tile.coordinates())?,
         };
         let room = self.tables.tiles()[job.tile.tile as usize].room;
-        let shader = Shader {
+        Ok(Shader {
             context: self,
             tile: Resident {
                 tile: job.tile.tile,
                 bsp: &self.bsp,
-                structure: &structure,
+                structure,
                 materials: self.tables.materials(),
                 texturing,
                 delta: self.tables.scene.delta,
             },
             room,
-            map: match &job.light.map {
-                Some(room) => {
-                    Some((PhotonMap::from_pieces(room.map.iter().map(|m| &m[..]))?, &room.cache))
+            map: match (&job.light.map, share) {
+                (Some(room), Some(share)) => Some((share.map()?, &room.cache)),
+                (Some(RoomMap { map: MapMemory::Whole(map), cache, .. }), None) => {
+                    Some((PhotonMap::from_pieces(map.iter().map(|m| &m[..]))?, cache))
                 }
-                None => None,
+                _ => None,
             },
             caustics: match job.light.map.as_ref().and_then(|room| room.caustics.as_ref()) {
                 Some(caustics) => Some(caustics.map()?),
@@ -381,44 +441,81 @@ impl Context<'_> {
             lights: &job.light.lights,
             sun: job.light.sun,
             films: &job.films,
-        };
-        let mut products = Products { tile: job.tile.tile, ..Products::default() };
-        match &job.work {
-            Work::Waiting { records, range } => {
-                let records = &records.records()[range.clone()];
-                products.lives.add_all(records, -1);
-                let mut waiting = records.iter();
-                shader.follow_all(scratch, &mut products, |_| waiting.next().copied());
-            }
-            Work::Camera { first_pixel, pass, indices } => {
-                let rays = (indices.end - indices.start) as i64;
-                products.lives.add(bands::band_of(*first_pixel), -rays);
-                let mut indices = indices.clone();
-                shader.follow_all(scratch, &mut products, |products| {
-                    // An eye in a doorway, and a plan, have rays that start elsewhere.
-                    indices.by_ref().find_map(|index| {
-                        let record = self.seen(*first_pixel, pass, index);
-                        products.camera += 1;
-                        let tile = shader.tile_of(record.leaf);
-                        if self.is_cut(&record) {
-                            return None;
-                        }
-                        if tile == shader.tile.tile {
-                            return Some(record);
-                        }
-                        products.park(tile, record);
-                        None
-                    })
-                });
-            }
-        }
-        let Products { parked, lives, .. } = &mut products;
-        parked.iter().for_each(|lane| lives.add_all(&lane.records, 1));
-        Ok(products)
+            paging: share.map(Paging::new),
+        })
     }
 }
 
-impl Shader<'_> {
+impl<'a> Shader<'a> {
+    /// Follows the rays of a job, or those that are `left` of it; returns those that wait for pieces of a map for which there is no room.
+    fn follow_job(
+        mut self,
+        job: &Job,
+        left: Option<&[TransitRecord]>,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) -> Result<Option<Paging<'a>>, StoreError> {
+        let waiting = match (left, &job.work) {
+            (Some(left), _) => Some(left),
+            (None, Work::Waiting { records, range }) => Some(&records.records()[range.clone()]),
+            (None, Work::Camera { .. }) => None,
+        };
+        if let Some(records) = waiting {
+            let mut waiting = records.iter();
+            self.follow_all(scratch, products, |_| waiting.next().copied())?;
+        } else if let Work::Camera { first_pixel, pass, indices } = &job.work {
+            let mut indices = indices.clone();
+            let (context, here) = (self.context, self.tile.tile);
+            self.follow_all(scratch, products, |products| {
+                // An eye in a doorway, and a plan, have rays that start elsewhere.
+                indices.by_ref().find_map(|index| {
+                    let record = context.seen(*first_pixel, pass, index);
+                    products.camera += 1;
+                    let tile = context.bsp.leaves[record.leaf as usize].tile;
+                    if context.is_cut(&record) {
+                        return None;
+                    }
+                    if tile == here {
+                        return Some(record);
+                    }
+                    products.park(tile, record);
+                    None
+                })
+            })?;
+        }
+        Ok(self.paging)
+    }
+
+    /// Brings the piece of the map that a ray waits for, if there is room.
+    fn bring_piece(&mut self) -> Result<(), StoreError> {
+        let (Some(paging), Some((map, _))) = (&self.paging, &mut self.map) else { return Ok(()) };
+        let Some(number) = paging.wanted.take() else { return Ok(()) };
+        let share: &'a Share<'a> = paging.share;
+        match share.piece(number, self.context.maps)? {
+            Some(piece) => map.bring(number, piece)?,
+            None => paging.full.set(true),
+        }
+        Ok(())
+    }
+
+    /// A piece of the map that the light at a point asks for and that is not in memory.
+    fn missing(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        scratch: &mut Scratch,
+    ) -> Option<u32> {
+        let (map, cache) = self.map.as_ref()?;
+        let gather = record.flags & TRANSIT_GATHER != 0;
+        if !gather && self.context.indirect != Indirect::PhotonMap {
+            return None;
+        }
+        let (point, normal, asked) = (surface.position, surface.normal, &self.context.gather);
+        // What is found on the way is kept in the cache: the estimate that follows is quick.
+        cache.estimate(map, point, normal, asked, &self.portals, &mut scratch.gather);
+        scratch.gather.missing()
+    }
+
     /// The film that a ray's light is for, and the pixel there.
     #[inline]
     pub(crate) fn film_of(&self, record: &TransitRecord) -> (&Film, u32) {
@@ -484,11 +581,11 @@ impl Shader<'_> {
     /// Follows camera, shadow and gather rays, those that `next` gives and those that come of them, until each has ended or left
     /// the tile.
     fn follow_all(
-        &self,
+        &mut self,
         scratch: &mut Scratch,
         products: &mut Products,
         mut next: impl FnMut(&mut Products) -> Option<TransitRecord>,
-    ) {
+    ) -> Result<(), StoreError> {
         let mut group = std::mem::take(&mut scratch.group);
         let mut more = true;
         loop {
@@ -522,8 +619,16 @@ impl Shader<'_> {
                     self.camera(record, hit, scratch, products)
                 }
             });
+            if self.paging.is_some() {
+                if scratch.gather.missing().is_some() {
+                    let what = "a point asks for more of its photon map than it waited for";
+                    return Err(Malformed(what.into()).into());
+                }
+                self.bring_piece()?;
+            }
         }
         scratch.group = group;
+        Ok(())
     }
 
     /// How far a ray goes, m.
@@ -544,6 +649,7 @@ impl Shader<'_> {
         products: &mut Products,
     ) -> bool {
         let bsp = self.tile.bsp;
+        let before = *record;
         let hit = match flight::follow(&self.tile, record, f32::INFINITY, hit, |_, _| {}) {
             Flight::Leaves { leaf, t } => {
                 record.leaf = leaf;
@@ -579,6 +685,14 @@ impl Shader<'_> {
             record.t = hit.t;
             products.park(self.tile_of(leaf), *record);
             return false;
+        }
+        if let Some(paging) = &self.paging {
+            if let Some(piece) = self.missing(record, &surface, scratch) {
+                // Once more from the beginning, with that piece.
+                *record = before;
+                return paging.wait_for(piece, before);
+            }
+            paging.answered.set(paging.answered.get() + 1);
         }
         let throughput = Vec3::from(record.flux);
         let material = &self.tile.materials[surface.material as usize];

@@ -8,7 +8,7 @@
 
 use std::sync::atomic::{AtomicU32, AtomicU64, Ordering};
 
-use enf_layout::photon::PHOTON_HALO;
+use enf_layout::photon::{PHOTON_HALO, PhotonRecord};
 use glam::Vec3;
 
 use super::gather::{Gather, GatherScratch, Irradiance, direction};
@@ -57,6 +57,37 @@ pub struct IrradianceCache {
     trees: [u32; 7],
 }
 
+/// The places of a cache, from the photons of a map that is seen piece by piece.
+pub struct Places {
+    places: Vec<Place>,
+    seen: usize,
+}
+
+impl Places {
+    /// None yet, of a map with so many photons.
+    pub fn of(photons: usize) -> Self {
+        Self { places: Vec::with_capacity(photons.div_ceil(STRIDE)), seen: 0 }
+    }
+
+    /// The map's next photon ([`PhotonMap::photons`]).
+    pub fn add(&mut self, number: u32, photon: &PhotonRecord) {
+        let chosen = self.seen % STRIDE == 0;
+        self.seen += 1;
+        // A cache never has more places than were reserved.
+        let free = self.places.len() < self.places.capacity();
+        if chosen && free && photon.flags & PHOTON_HALO == 0 {
+            let [.., n0, n1, n2] = photon.directions;
+            let bin = bin_of(direction(n0, n1, n2)) as u8;
+            self.places.push(Place {
+                position: photon.position(),
+                // The tree's number, until it is planted.
+                normal_axis: u32::from_le_bytes([n0, n1, n2, bin]),
+                photon: number,
+            });
+        }
+    }
+}
+
 /// A place that was found: squared distance, then index.
 #[derive(Clone, Copy)]
 struct Near {
@@ -72,19 +103,14 @@ impl IrradianceCache {
 
     /// An empty cache for a map; the caller has the memory reserved.
     pub fn new(map: &PhotonMap<'_>) -> Self {
-        let mut places = Vec::with_capacity(map.len().div_ceil(STRIDE));
-        for (i, photon) in map.photons().step_by(STRIDE) {
-            if photon.flags & PHOTON_HALO == 0 {
-                let [.., n0, n1, n2] = photon.directions;
-                let bin = bin_of(direction(n0, n1, n2)) as u8;
-                places.push(Place {
-                    position: photon.position(),
-                    // The tree's number, until it is planted.
-                    normal_axis: u32::from_le_bytes([n0, n1, n2, bin]),
-                    photon: i,
-                });
-            }
-        }
+        let mut places = Places::of(map.len());
+        map.photons().for_each(|(number, photon)| places.add(number, &photon));
+        Self::at_places(places)
+    }
+
+    /// An empty cache at these places.
+    pub fn at_places(places: Places) -> Self {
+        let mut places = places.places;
         places.sort_unstable_by_key(|place| (place.axis(), place.photon));
         let trees =
             [0, 1, 2, 3, 4, 5, 6].map(|bin| places.partition_point(|p| p.axis() < bin) as u32);
@@ -159,6 +185,9 @@ impl IrradianceCache {
             let normal = place.normal().normalize();
             let point = Vec3::from(place.position);
             let found = map.irradiance(point, normal, gather, portals, scratch);
+            if scratch.is_missing() {
+                return Irradiance::default();
+            }
             // Two threads may both have computed it; they write the same bits.
             let [red, green, low] = found.rgb.map(f32::to_bits);
             value.red.store(red, Ordering::Relaxed);

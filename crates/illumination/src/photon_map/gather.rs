@@ -111,6 +111,17 @@ impl GatherScratch {
             + self.openings.capacity() * size_of::<Opening>()
     }
 
+    /// A piece that searches since the last call needed, of a map that has pieces which are not in memory
+    /// ([`PhotonMap::from_outlines`]). What was found since then is to be asked for again, with that piece.
+    pub fn missing(&mut self) -> Option<u32> {
+        self.notes.take_missing()
+    }
+
+    /// Whether a piece is missing, which stays so.
+    pub(super) fn is_missing(&self) -> bool {
+        self.notes.is_missing()
+    }
+
     /// The square of a radius that probably holds what is looked for: queries that follow each other are often neighbours.
     fn guess2(&self, point: Vec3) -> f32 {
         self.last.map_or(f32::INFINITY, |(at, radius)| {

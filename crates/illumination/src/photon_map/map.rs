@@ -6,7 +6,7 @@ use enf_layout::sections::{self, Malformed, Transform};
 use zerocopy::{FromBytes, IntoBytes};
 
 use super::build::{box_of, build_map, count_blocks, nothing, union};
-use super::search::{Root, above};
+use super::search::{ABSENT, Root, above};
 
 /// Levels of a piece's tree at most.
 const LEVELS: usize = 12;
@@ -69,8 +69,34 @@ pub(super) struct Piece<'a> {
     pub(super) blocks: &'a [MapBlock],
     /// Number of its first photon in the whole map: blocks count as full.
     pub(super) first: u32,
+    /// Blocks that it has; there are none in `blocks` as long as it is not in memory.
+    count: usize,
     photons: usize,
     tree: Tree<&'a [MapNode]>,
+}
+
+/// What has to be known about a piece that is not in memory, so that a search sees when it would need it.
+#[derive(Clone, Copy, Debug)]
+pub struct Outline {
+    header: MapHeader,
+    blocks: usize,
+    bounds: [[f32; 3]; 2],
+}
+
+impl Outline {
+    /// Of a piece's blob; checks what [`PhotonMap::from_blob`] checks.
+    ///
+    /// # Errors
+    /// [`Malformed`] says which count or section is wrong.
+    pub fn of(blob: &[u8]) -> Result<Self, Malformed> {
+        let (header, piece) = Piece::from_blob(blob)?;
+        Ok(Self { header, blocks: piece.blocks.len(), bounds: piece.bounds() })
+    }
+
+    /// Photons of the piece.
+    pub fn photons(&self) -> usize {
+        self.header.photons as usize
+    }
 }
 
 fn bad<T>(what: String) -> Result<T, Malformed> {
@@ -94,16 +120,31 @@ impl<'a> PhotonMap<'a> {
     /// # Errors
     /// [`Malformed`] says which count or section is wrong.
     pub fn from_pieces(blobs: impl IntoIterator<Item = &'a [u8]>) -> Result<Self, Malformed> {
+        let blobs: Vec<&[u8]> = blobs.into_iter().collect();
+        let outlines = blobs.iter().map(|b| Outline::of(b)).collect::<Result<Vec<_>, _>>()?;
+        let mut map = Self::from_outlines(&outlines)?;
+        for (piece, blob) in (0..).zip(blobs) {
+            map.bring(piece, blob)?;
+        }
+        Ok(map)
+    }
+
+    /// A map of which no piece is in memory, from the outlines of all, in their order. A search that comes to a piece that is not
+    /// there ends, and says so ([`GatherScratch::missing`](super::GatherScratch::missing)).
+    ///
+    /// # Errors
+    /// [`Malformed`] if these are not the pieces of one map.
+    pub fn from_outlines(outlines: &[Outline]) -> Result<Self, Malformed> {
         let mut map = Self {
-            pieces: Vec::new(),
+            pieces: Vec::with_capacity(outlines.len()),
             above: Tree::default(),
             photons: 0,
             halo: 0,
             radius: f32::INFINITY,
         };
         let (mut blocks, mut wanted) = (0u64, 0);
-        for blob in blobs {
-            let (header, mut piece) = Piece::from_blob(blob)?;
+        for outline in outlines {
+            let Outline { header, blocks: count, .. } = outline;
             if header.piece as usize != map.pieces.len()
                 || (header.piece > 0 && (header.pieces, header.radius) != (wanted, map.radius))
             {
@@ -112,22 +153,29 @@ impl<'a> PhotonMap<'a> {
                     header.piece, header.pieces, header.radius
                 ));
             }
-            piece.first = (blocks * BLOCK_PHOTONS as u64) as u32;
-            blocks += piece.blocks.len() as u64;
+            let first = (blocks * BLOCK_PHOTONS as u64) as u32;
+            blocks += *count as u64;
             if blocks * BLOCK_PHOTONS as u64 > u64::from(u32::MAX) {
                 return bad(format!("{blocks} blocks of photons are too many"));
             }
             wanted = header.pieces;
-            map.photons += piece.photons;
+            let photons = header.photons as usize;
+            map.photons += photons;
             map.halo += header.halo;
             map.radius = header.radius;
-            map.pieces.push(piece);
+            map.pieces.push(Piece {
+                blocks: &[],
+                first,
+                count: *count,
+                photons,
+                tree: Tree::default(),
+            });
         }
         if map.pieces.len() != wanted as usize || map.pieces.is_empty() {
             return bad(format!("{} of its {wanted} pieces are there", map.pieces.len()));
         }
         if map.pieces.len() > 1 {
-            let boxes: Vec<_> = map.pieces.iter().map(Piece::bounds).collect();
+            let boxes: Vec<_> = outlines.iter().map(|outline| outline.bounds).collect();
             let mut nodes = Vec::with_capacity(node_count(boxes.len()));
             super::build::raise(&boxes, &mut nodes);
             match Tree::new(nodes, boxes.len()) {
@@ -136,6 +184,24 @@ impl<'a> PhotonMap<'a> {
             }
         }
         Ok(map)
+    }
+
+    /// Brings a piece into the map.
+    ///
+    /// # Errors
+    /// [`Malformed`] if it is not the one that its outline was made of.
+    pub fn bring(&mut self, number: u32, blob: &'a [u8]) -> Result<(), Malformed> {
+        let (header, brought) = Piece::from_blob(blob)?;
+        match self.pieces.get_mut(number as usize) {
+            Some(piece)
+                if header.piece == number
+                    && (brought.count, brought.photons) == (piece.count, piece.photons) =>
+            {
+                *piece = Piece { first: piece.first, ..brought };
+                Ok(())
+            }
+            _ => bad(format!("piece {} is not the one that was asked for", header.piece)),
+        }
     }
 
     /// The blob of a map of these photons, in any order, complete for gathers up to `radius` (m, above 0;
@@ -170,7 +236,7 @@ impl<'a> PhotonMap<'a> {
     /// Numbers of photons are below this. Not every number has its photon: the last block of a piece may have
     /// empty places.
     pub fn places(&self) -> usize {
-        self.pieces.last().map_or(0, |p| p.first as usize + p.blocks.len() * BLOCK_PHOTONS)
+        self.pieces.last().map_or(0, |p| p.first as usize + p.count * BLOCK_PHOTONS)
     }
 
     /// The photon of a number below [`PhotonMap::places`], as it was stored; for an empty place, or a number
@@ -194,10 +260,11 @@ impl<'a> PhotonMap<'a> {
         found.unwrap_or((&EMPTY_BLOCK, 0))
     }
 
-    /// All photons with their numbers, in the order of these.
+    /// All photons of the pieces that are in memory with their numbers, in the order of these.
     pub fn photons(&self) -> impl Iterator<Item = (u32, PhotonRecord)> {
         self.pieces.iter().flat_map(|piece| {
-            (0..piece.photons).map(|i| {
+            let here = piece.photons.min(piece.blocks.len() * BLOCK_PHOTONS);
+            (0..here).map(|i| {
                 let photon = piece.blocks[i / BLOCK_PHOTONS].photon(i % BLOCK_PHOTONS);
                 (piece.first + i as u32, photon)
             })
@@ -219,7 +286,7 @@ impl<'a> PhotonMap<'a> {
     pub(super) fn root(&self) -> Option<Root> {
         match &self.pieces[..] {
             _ if self.photons == 0 => None,
-            [one] => Some(Root { piece: 0, level: one.tree.height }),
+            [one] => Some(Root { piece: 0, level: one.root() }),
             _ => Some(above(self.above.height)),
         }
     }
@@ -237,7 +304,7 @@ impl<'a> PhotonMap<'a> {
     #[inline(always)]
     pub(super) fn below(&self, level: u32, index: u32) -> (u32, u32, u32) {
         match level {
-            1 => (index, self.pieces.get(index as usize).map_or(0, |p| p.tree.height), 0),
+            1 => (index, self.pieces.get(index as usize).map_or(0, Piece::root), 0),
             _ => (u32::MAX, level - 1, index),
         }
     }
@@ -295,7 +362,17 @@ impl<'a> Piece<'a> {
         if header.radius.is_nan() || header.radius <= 0.0 {
             return bad(format!("its halo is {} m wide, not more than 0", header.radius));
         }
-        Ok((*header, Self { blocks, first: 0, photons: header.photons as usize, tree }))
+        let (count, photons) = (blocks.len(), header.photons as usize);
+        Ok((*header, Self { blocks, first: 0, count, photons, tree }))
+    }
+
+    /// The level where a search of it begins.
+    #[inline(always)]
+    fn root(&self) -> u32 {
+        match self.blocks.len() == self.count {
+            true => self.tree.height,
+            false => ABSENT,
+        }
     }
 
     /// The box about everything.

@@ -31,13 +31,13 @@ mod tests;
 mod tests_support;
 
 pub use build::build_map;
-pub use cache::IrradianceCache;
+pub use cache::{IrradianceCache, Places};
 pub use gather::{
     ENDING_PHOTONS, Gather, GatherScratch, Irradiance, Kernel, NORMAL_COSINE, Nearest,
     SLAB_FLOOR_M, SLAB_FLOOR_RADII, SLAB_SLOPE, SMALLEST_DISC_M, SMALLEST_DISC_RADII,
 };
 pub use lanes::Instructions;
-pub use map::{PhotonMap, blob_bytes};
+pub use map::{Outline, PhotonMap, blob_bytes};
 pub use order::canonical_sort;
 pub use pieces::{Cube, DIVIDE_BYTES, PieceRange, divide};
 pub use portals::{BadPortals, PortalSet, wants_halo};

@@ -44,6 +44,8 @@ pub(super) struct Notes {
     len: usize,
     k: usize,
     full: usize,
+    /// A piece that a search has come to and that is not in memory; stays until it is asked for.
+    missing: Option<u32>,
 }
 
 impl Notes {
@@ -115,6 +117,16 @@ impl Notes {
         }
         self.len = kept;
         limit
+    }
+
+    /// A piece that searches since the last call lacked: what they found is not all.
+    pub(super) fn take_missing(&mut self) -> Option<u32> {
+        self.missing.take()
+    }
+
+    /// Whether a search since then has lacked one.
+    pub(super) fn is_missing(&self) -> bool {
+        self.missing.is_some()
     }
 
     /// Whether `k` were found.
@@ -209,6 +221,9 @@ struct Waiting {
 
 const ABOVE: u32 = u32::MAX;
 
+/// In place of the level of a piece that is not in memory.
+pub(super) const ABSENT: u32 = u32::MAX;
+
 /// Boxes that wait, the nearest last.
 #[derive(Clone, Debug)]
 pub(super) struct Stack {
@@ -282,6 +297,9 @@ impl<F: Filter> Search<'_, F> {
                         bound = if near < bound { near } else { bound };
                     }
                 }
+            } else if next.level == ABSENT {
+                self.notes.missing.get_or_insert(next.piece);
+                return;
             } else {
                 let node = self.map.node(next.piece, next.level, next.index);
                 let d2 = box_distances(node, &self.point);

@@ -253,6 +253,7 @@ fn nearest_is_brute_force_in_one_piece_or_many() {
     let whole = PhotonMap::from_blob(&one).unwrap();
     let many = PhotonMap::from_pieces(blobs.iter().map(|b| &b[..])).unwrap();
     many.check().unwrap();
+    pieces_come_when_they_are_asked_for(&many, &blobs, &photons);
     assert_eq!(many.len(), whole.len());
     let mut scratches: Vec<_> =
         Instructions::ALL.map(|i| GatherScratch::new(8).with_instructions(i)).into();
@@ -680,5 +681,52 @@ fn broken_trees_and_questions_do_not_panic() {
                 }
             }
         }
+    }
+}
+
+/// A map of outlines names the pieces that a search needs, one after the other; with these, and no others, it says what the whole
+/// map does. Irradiance that lacks a piece is not kept.
+fn pieces_come_when_they_are_asked_for(
+    whole: &PhotonMap<'_>,
+    blobs: &[Vec<u8>],
+    photons: &[PhotonRecord],
+) {
+    let outlines: Vec<_> = blobs.iter().map(|b| Outline::of(b).unwrap()).collect();
+    assert!(PhotonMap::from_outlines(&outlines[1..]).is_err());
+    let gather = Gather { photons: 40, radius: 0.6, kernel: Kernel::Cone };
+    let (mut scratch, mut other) = (GatherScratch::new(40), GatherScratch::new(40));
+    let cache = IrradianceCache::new(whole);
+    let mut places = Places::of(whole.len());
+    for (number, blob) in (0..).zip(blobs) {
+        let mut map = PhotonMap::from_outlines(&outlines).unwrap();
+        assert_eq!(
+            (map.len(), map.places(), map.halo()),
+            (whole.len(), whole.places(), whole.halo())
+        );
+        assert!(map.bring(number + 1, blob).is_err());
+        map.bring(number, blob).unwrap();
+        map.photons().for_each(|(number, photon)| places.add(number, &photon));
+    }
+    let partial = IrradianceCache::at_places(places);
+    for photon in photons.iter().step_by(97) {
+        let point = Vec3::from(photon.position());
+        let normal = Vec3::from(photon.normal());
+        let none = PortalSet::none();
+        let mut map = PhotonMap::from_outlines(&outlines).unwrap();
+        let mut brought = 0;
+        let found = loop {
+            let found = map.irradiance(point, normal, &gather, &none, &mut scratch);
+            let kept = partial.estimate(&map, point, normal, &gather, &none, &mut scratch);
+            match scratch.missing() {
+                Some(piece) => map.bring(piece, &blobs[piece as usize]).unwrap(),
+                None => break (found, kept),
+            }
+            brought += 1;
+        };
+        assert!(brought > 0 && brought < blobs.len(), "{brought} of {} pieces", blobs.len());
+        let all = whole.irradiance(point, normal, &gather, &none, &mut other);
+        let kept = cache.estimate(whole, point, normal, &gather, &none, &mut other);
+        assert_eq!(found, (all, kept));
+        assert_eq!(other.missing(), None);
     }
 }
