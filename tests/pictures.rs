@@ -55,7 +55,7 @@ fn a_furnace_is_even() {
         let gather = [&GATHER[..], &flags[..], &["--gather-rays", "16"]].concat();
         let picture = render(&store, dir.path(), "g", "in", &gather);
         // All but what the walls send out themselves, and that once reflected: rho (L - Le). Half of it is from the map,
-        // which is too dark within 0.1 m of edges, a tenth of the walls; the rest is from 25,600 paths.
+        // which is a little dark within 0.1 m of edges, a tenth of the walls; the rest is from 25,600 paths.
         let found = mean(&picture, "indirect.G");
         assert!((found - 1.0).abs() < 0.03, "{found} in {rooms} rooms");
         assert!((mean(&picture, "G") - 4.0).abs() < 0.05, "in {rooms} rooms");
