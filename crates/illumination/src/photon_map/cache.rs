@@ -71,7 +71,7 @@ impl Places {
 
     /// The map's next photon ([`PhotonMap::photons`]).
     pub fn add(&mut self, number: u32, photon: &PhotonRecord) {
-        let chosen = self.seen % STRIDE == 0;
+        let chosen = self.seen.is_multiple_of(STRIDE);
         self.seen += 1;
         // A cache never has more places than were reserved.
         let free = self.places.len() < self.places.capacity();
