@@ -43,52 +43,32 @@ fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
     assert!(pictures.iter().all(|p| *p == pictures[0]), "another picture");
 }
 
-/// Some three million photons are six pieces; in a budget where no room is left for all of them, they come and go: the same picture. In
-/// one that does not hold what is needed at once, the answer says how much would.
+/// A budget that does not hold what is needed of a map at once is refused before anything is begun, and the answer says which one would
+/// do. (In a room without openings that is all of the map: an estimate reaches as far as it must.)
 #[test]
-fn a_map_that_does_not_fit_is_seen_piece_by_piece() {
+fn a_map_that_does_not_fit_is_refused_with_what_would_do() {
     let dir = tempfile::tempdir().unwrap();
     let scene = furnished(dir.path());
     let store = dir.path().join("b.enf");
     ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(["--rooms", "1", "--quiet"]));
     ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "900k"]));
-    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--memory", "1G"]));
-    let render = |memory: &str, threads: &str, flags: &[&str], to: &str| {
-        // What is finished is not made again.
-        for file in common::files_of(&store).iter().filter(|f| f.starts_with("render.")) {
-            std::fs::remove_file(store.join(file)).unwrap();
-        }
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "220k"]));
+    ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
+    let render = |memory: &str| {
         let mut command = bin("enf-render");
         command.arg(&store).args(["--all-rooms", "--quiet", "--view", "door"]);
-        command.args(["--width", "64", "--height", "40", "--samples", "2", "--memory", memory]);
-        command.args(["--threads", threads, "--stats"]).arg(dir.path().join("stats.json"));
-        command.args(flags).arg("-o").arg(dir.path().join(to));
+        command.args(["--width", "64", "--height", "40", "--samples", "1", "--memory", memory]);
+        command.args(["--threads", "1", "--stats"]).arg(dir.path().join("stats.json"));
+        command.arg("-o").arg(dir.path().join("door.png"));
         command
     };
-    let gather = ["--indirect", "final-gather", "--gather-rays", "2"];
-    for (kind, flags) in [&[][..], &gather[..]].into_iter().enumerate() {
-        let mut pictures = Vec::new();
-        for (memory, threads, paged) in
-            [("1G", "2", false), ("144M", "1", true), ("144M", "2", true)]
-        {
-            let name = format!("{kind}-{memory}-{threads}.exr");
-            ok(&mut render(memory, threads, flags, &name));
-            let stats = json(&dir.path().join("stats.json"));
-            assert_eq!(number(&stats, "maps_in_part") > 0.0, paged, "{memory}");
-            let peak = number(&stats, "memory.peak_resident_bytes");
-            let budget = number(&stats, "memory.budget_bytes");
-            assert!(peak <= budget, "{peak} of {budget} bytes");
-            pictures.push(std::fs::read(dir.path().join(name)).unwrap());
-        }
-        assert!(pictures.iter().all(|p| *p == pictures[0]), "another picture");
-    }
-    let said = fails(&mut render("72M", "1", &[], "small.exr"), 3);
+    let said = fails(&mut render("40M"), 3);
     assert!(said.contains("photon map") && said.contains("would do"), "{said}");
-    // And it does.
-    let memory =
-        said.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next()).map(str::to_owned);
-    ok(&mut render(&memory.unwrap(), "1", &[], "small.exr"));
-    let [small, whole] = ["small.exr", "0-1G-2.exr"].map(|f| std::fs::read(dir.path().join(f)));
-    assert!(small.unwrap() == whole.unwrap(), "another picture");
+    assert!(!common::files_of(&store).iter().any(|f| f.starts_with("render.")), "nothing is begun");
+    let memory = said.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next());
+    ok(&mut render(memory.unwrap()));
+    let stats = json(&dir.path().join("stats.json"));
+    let peak = number(&stats, "memory.peak_resident_bytes");
+    let budget = number(&stats, "memory.budget_bytes");
+    assert!(peak <= budget, "{peak} of {budget} bytes");
 }

@@ -16,8 +16,8 @@ use parking_lot::{Condvar, Mutex};
 
 /// A mapped extent takes whole pages.
 const PAGES: u64 = 8 << 10;
-/// Pieces that a share has room for, at least: as many as may meet at a point of a wall.
-const AT_LEAST: u64 = 4;
+/// Pieces that a share has room for, at least: as many as may meet at a point.
+const AT_LEAST: u64 = 8;
 
 /// Bytes of a piece while it is in memory.
 fn bytes_of(piece: &Extent) -> u64 {
@@ -274,5 +274,39 @@ impl<'a> Paging<'a> {
             self.wanted.set(Some(piece));
         }
         true
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use enf_layout::segment::{Codec, ExtentKind, StageKind};
+
+    #[test]
+    fn a_map_is_in_part_only_if_it_has_to_be() {
+        let piece = |raw_bytes: u64| Extent {
+            kind: ExtentKind::Map,
+            id: 0,
+            stage: StageKind::Kdtree,
+            process: 0,
+            segment: 0,
+            offset: 0,
+            stored_bytes: raw_bytes,
+            raw_bytes,
+            count: 0,
+            codec: Codec::Raw,
+            checksum: [0; 16],
+        };
+        let one = 1_000_000 - PAGES;
+        let pieces = vec![piece(one); 40];
+        assert_eq!(Plan::of(&pieces, 40_000_000, 2), Plan::Whole(40_000_000));
+        // A share for each thread, of all that there is; fewer where that is little, and never too small a one.
+        assert_eq!(Plan::of(&pieces, 39_999_998, 2), Plan::Shares(2, 19_999_999));
+        assert_eq!(Plan::of(&pieces, 20_000_000, 4), Plan::Shares(2, 10_000_000));
+        assert_eq!(Plan::of(&pieces, 9_000_000, 4), Plan::Shares(1, 9_000_000));
+        assert_eq!(Plan::of(&pieces, 0, 4), Plan::Shares(1, AT_LEAST * 1_000_000));
+        assert_eq!(Plan::of(&pieces, 0, 4).bytes(), 8_000_000);
+        assert_eq!(Plan::of(&pieces[..3], 0, 4).bytes(), 3_000_000, "no more than there are");
+        assert_eq!(Plan::of(&pieces[..1], 0, 4), Plan::Whole(1_000_000));
     }
 }

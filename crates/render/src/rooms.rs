@@ -49,7 +49,12 @@ impl RoomReader<'_> {
     fn plan(&self, room: u32) -> (Plan, u64) {
         let pieces = self.maps.find(ExtentKind::Map, room);
         let cache = IrradianceCache::bytes(pieces.iter().map(|e| e.count as usize).sum());
-        (Plan::of(pieces, self.most.saturating_sub(cache), self.threads), cache)
+        // In a room without openings an estimate reaches as far as it must, which may be through all of the map.
+        let most = match self.tables.portals_of(room).is_empty() {
+            true => u64::MAX,
+            false => self.most.saturating_sub(cache),
+        };
+        (Plan::of(pieces, most, self.threads), cache)
     }
 
     /// Lights that reach a room, ascending, and how much of the room each lights: a factor of its importance.
