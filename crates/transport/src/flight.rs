@@ -140,6 +140,19 @@ pub fn query(record: &TransitRecord, end: f32) -> Query {
 }
 
 impl Surface {
+    /// Where a ray along `direction` meets the triangle of `corners`, m, at the barycentric coordinates `[u, v]`; `lift` is how far
+    /// rays start above it, m. Triangle and material are left 0.
+    pub fn at(corners: [Vec3; 3], [u, v]: [f32; 2], direction: Vec3, lift: f32) -> Self {
+        let [a, b, c] = corners.map(|p| p.as_dvec3());
+        let (u, v) = (f64::from(u), f64::from(v));
+        let position = vector::off_edges([a, b, c], u, v, f64::from(lift)).as_vec3();
+        let normal = (b - a).cross(c - a).normalize_or_zero();
+        let front = normal.dot(direction.as_dvec3()) < 0.0;
+        let normal = (if front { normal } else { -normal }).as_vec3();
+        let origin = position + normal * lift;
+        Self { position, normal, front, origin, triangle: 0, material: 0 }
+    }
+
     /// Where a ray starts that goes on beyond the surface, m: as far below it as `origin` is above.
     pub fn beyond(&self) -> Vec3 {
         self.position - (self.origin - self.position)
@@ -148,20 +161,11 @@ impl Surface {
 
 /// The surface at a hit. It depends on the ray and the triangle alone.
 pub fn surface(tile: &Resident<'_>, hit: &Hit, direction: Vec3) -> Surface {
-    let [a, b, c] = tile.structure.corners(hit.slot).map(|p| p.as_dvec3());
-    let (u, v) = (f64::from(hit.u), f64::from(hit.v));
-    let lift = lift(tile);
-    let position = vector::off_edges([a, b, c], u, v, f64::from(lift)).as_vec3();
-    let normal = (b - a).cross(c - a).normalize_or_zero();
-    let front = normal.dot(direction.as_dvec3()) < 0.0;
-    let normal = (if front { normal } else { -normal }).as_vec3();
+    let corners = tile.structure.corners(hit.slot);
     Surface {
-        position,
-        normal,
-        front,
-        origin: position + normal * lift,
         triangle: hit.global,
         material: tile.structure.material(hit.slot),
+        ..Surface::at(corners, [hit.u, hit.v], direction, lift(tile))
     }
 }
 
