@@ -66,9 +66,9 @@ for building in "${buildings[@]}"; do
         -v mean="$(trace room_load_mean)" -v max="$(trace room_load_max)" -v never="$(trace rooms_never_loaded)" \
         -v rmin="$(trace reflections_min)" -v rmean="$(trace reflections_mean)" -v rmax="$(trace reflections_max)" \
         -v escaped="$(trace photons_escaped)" -v read="$(trace read_bytes)" -v written="$(trace written_bytes)" \
-        -v peak="$(trace peak_resident_bytes)" -v kpeak="$(kdtree peak_resident_bytes)" -v split="$(split "$building.trace.json"); $(split "$building.kdtree.json")" 'BEGIN {
+        -v peak="$(trace peak_resident_bytes)" -v kpeak="$(kdtree peak_resident_bytes)" -v parts="$(split "$building.trace.json"); $(split "$building.kdtree.json")" 'BEGIN {
         printf "| %s | %.2f | %.1f (%s) | %.1f, %.1f (%s) | %.1f, %.1f (%s) | %.2f, %d, %d | %d, %.2f, %d | %.1f %% | %.0f, %.0f | %.0f, %.0f | %s |\n", name, emitted / 1e6, stored / 1e6, impacts,
             wall, cpu, propagation, kwall, kcpu, maps, mean, max, never, rmin, rmean, rmax, 100 * through / (stored + escaped), read / 1e6, written / 1e6,
-            peak / 1048576, kpeak / 1048576, split }'
+            peak / 1048576, kpeak / 1048576, parts }'
     [ -n "${KEEP:-}" ] || rm -rf "$building.enf" "$scene" "${scene%.toml}.meshes"
 done

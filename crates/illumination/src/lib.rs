@@ -10,5 +10,5 @@ pub mod photon_map;
 
 pub use photon_map::{
     Gather, GatherScratch, Irradiance, IrradianceCache, Kernel, Outline, PhotonMap, Places,
-    PortalSet, build_map, canonical_sort, wants_halo,
+    PortalSet, build_map, canonical_sort,
 };

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use enf_illumination::photon_map::{
-    Cube, DIVIDE_BYTES, PieceRange, PortalSet, blob_bytes, build_map, divide, wants_halo,
+    Cube, DIVIDE_BYTES, Halo, PieceRange, PortalSet, blob_bytes, build_map, divide,
 };
 use enf_layout::map::PIECE_PHOTONS;
 use enf_layout::photon::{PHOTON_DIRECT, PHOTON_HALO, PhotonRecord};
@@ -197,9 +197,9 @@ impl Source<'_> {
         collect(self.photons, self.budget, room, each)?;
         let portals = self.tables.portals_of(room);
         for group in portals.chunk_by(|a, b| a.other == b.other) {
-            let openings = PortalSet::new(group, self.tables.pieces());
+            let halo = Halo::new(&PortalSet::new(group, self.tables.pieces()), self.radius);
             collect(self.photons, self.budget, group[0].other, &mut |photon| {
-                if wants_halo(&openings, photon, self.radius) {
+                if halo.wants(photon) {
                     let mut photon = *photon;
                     photon.flags |= PHOTON_HALO;
                     each(&photon)?;

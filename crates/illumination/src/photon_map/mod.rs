@@ -7,7 +7,7 @@
 //! Two things are not in the book:
 //!
 //! - **A doorway is not an edge.** A map also holds the photons beyond its room's portals, as far as a
-//!   gather reaches ([`wants_halo`]). Each counts only if the straight way to it leads through an
+//!   gather reaches ([`Halo`]). Each counts only if the straight way to it leads through an
 //!   opening ([`PortalSet::crosses`]), so there is neither a dark seam at the door nor a glow on the
 //!   floor behind the wall. (A seam is what Fradin et al. 2005, "Out-of-Core Photon-Mapping for Large
 //!   Buildings", section 8, leave open.)
@@ -40,4 +40,4 @@ pub use lanes::Instructions;
 pub use map::{Outline, PhotonMap, blob_bytes};
 pub use order::canonical_sort;
 pub use pieces::{Cube, DIVIDE_BYTES, PieceRange, divide};
-pub use portals::{BadPortals, PortalSet, wants_halo};
+pub use portals::{BadPortals, Halo, PortalSet};

@@ -115,20 +115,7 @@ impl<'a> PortalSet<'a> {
     fn openings_about(&self, point: DVec3, radius: f64) -> impl Iterator<Item = Opening> {
         let least = self.tolerance;
         self.pieces()
-            .filter(move |piece| {
-                let n = (piece.count as usize).min(PIECE_CORNERS);
-                let (mut min, mut max) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
-                for corner in &piece.corners[..n] {
-                    for i in 0..3 {
-                        min[i] = min[i].min(corner[i]);
-                        max[i] = max[i].max(corner[i]);
-                    }
-                }
-                let [min, max] = [min, max].map(|v| DVec3::from(v.map(f64::from)));
-                let reach = radius + 2.0 * tolerance(least, min.abs().max(max.abs()));
-                let away = (min - point).max(point - max).max(DVec3::ZERO);
-                away.length_squared() <= reach * reach
-            })
+            .filter(move |piece| Bounds::of(piece, least, radius).may_touch(point))
             .filter_map(move |piece| Opening::new(piece, least))
     }
 
@@ -154,18 +141,81 @@ impl<'a> PortalSet<'a> {
     }
 }
 
-/// Whether the map of a room must hold photon `p` of a neighbour: `portals` are the room's, those that
-/// lead to the photon's room; `radius` is the halo's width, m.
-///
-/// Never false for a photon that some gather of at most `radius` in the room can count.
-pub fn wants_halo(portals: &PortalSet, p: &PhotonRecord, radius: f32) -> bool {
-    let point = Vec3::from(p.position()).as_dvec3();
-    // A way of length `radius` through the slack around an opening ends this near to the opening.
-    let radius = f64::from(radius) * (1.0 + 1e-6);
-    point.is_finite()
-        && portals
-            .openings_about(point, radius + portals.tolerance)
-            .any(|o| o.distance(point) <= radius + 4.0 * o.tolerance)
+/// Which photons of a neighbour the map of a room must hold.
+#[derive(Clone, Debug)]
+pub struct Halo {
+    radius: f64,
+    /// Beyond this box nothing is wanted.
+    min: Vec3,
+    max: Vec3,
+    openings: Vec<(Bounds, Opening)>,
+}
+
+impl Halo {
+    /// Of a room whose `portals` lead to the neighbour; `radius` is the halo's width, m.
+    pub fn new(portals: &PortalSet<'_>, radius: f32) -> Self {
+        // A way of length `radius` through the slack around an opening ends this near to the opening.
+        let radius = f64::from(radius) * (1.0 + 1e-6);
+        let openings: Vec<_> = portals
+            .pieces()
+            .filter_map(|piece| {
+                let bounds = Bounds::of(piece, portals.tolerance, radius + portals.tolerance);
+                Some((bounds, Opening::new(piece, portals.tolerance)?))
+            })
+            .collect();
+        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for (bounds, _) in &openings {
+            min = min.min(bounds.min - bounds.reach);
+            max = max.max(bounds.max + bounds.reach);
+        }
+        // Rounded outwards: what is told apart by this box lies clearly beyond it.
+        let (down, up) = (|x: f32| x.next_down(), |x: f32| x.next_up());
+        Self { radius, min: min.as_vec3().map(down), max: max.as_vec3().map(up), openings }
+    }
+
+    /// Whether photon `p` of the neighbour is wanted. Never false for one that some gather of at most the halo's width in
+    /// the room can count.
+    #[inline]
+    pub fn wants(&self, p: &PhotonRecord) -> bool {
+        let point = Vec3::from(p.position());
+        // No number is within no bounds.
+        (point.cmpge(self.min) & point.cmple(self.max)).all() && self.is_near(point.as_dvec3())
+    }
+
+    fn is_near(&self, point: DVec3) -> bool {
+        point.is_finite()
+            && self.openings.iter().any(|(bounds, opening)| {
+                bounds.may_touch(point)
+                    && opening.distance(point) <= self.radius + 4.0 * opening.tolerance
+            })
+    }
+}
+
+/// The box about a piece, and how far from it something may be that touches the piece.
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    min: DVec3,
+    max: DVec3,
+    reach: f64,
+}
+
+impl Bounds {
+    fn of(piece: &PortalPieceRecord, least_tolerance: f64, radius: f64) -> Self {
+        let n = (piece.count as usize).min(PIECE_CORNERS);
+        let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+        for &corner in &piece.corners[..n] {
+            min = min.min(Vec3::from(corner));
+            max = max.max(Vec3::from(corner));
+        }
+        let (min, max) = (min.as_dvec3(), max.as_dvec3());
+        let reach = radius + 2.0 * tolerance(least_tolerance, min.abs().max(max.abs()));
+        Self { min, max, reach }
+    }
+
+    fn may_touch(&self, point: DVec3) -> bool {
+        let away = (self.min - point).max(point - self.max).max(DVec3::ZERO);
+        away.length_squared() <= self.reach * self.reach
+    }
 }
 
 fn piece_range(portal: &PortalRecord) -> std::ops::Range<usize> {
@@ -347,7 +397,7 @@ mod tests {
             let (a, b) = (Vec3::from(a), Vec3::from(b));
             let p = PhotonRecord { position_bits: b.to_array().map(f32::to_bits), ..Default::default() };
             if set.crosses(a, b) {
-                prop_assert!(wants_halo(&set, &p, a.distance(b)));
+                prop_assert!(Halo::new(&set, a.distance(b)).wants(&p));
             }
         }
 

@@ -612,7 +612,7 @@ fn a_doorway_makes_no_difference() {
     for p in &floor {
         let mut p = *p;
         if p.position()[0] >= 2.0 {
-            if !wants_halo(&portals, &p, 0.4) {
+            if !Halo::new(&portals, 0.4).wants(&p) {
                 continue;
             }
             p.flags |= PHOTON_HALO;
