@@ -3,23 +3,28 @@
 mod common;
 
 use common::{bin, copy_store, digest, fails, furnished, json, number, ok};
+use std::path::{Path, PathBuf};
 
-/// 3 lamps of 220,000 photons make some 800,000 indirect ones: two pieces at least.
-#[test]
-fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
-    let dir = tempfile::tempdir().unwrap();
-    let scene = furnished(dir.path());
-    let store = dir.path().join("b.enf");
+/// All rooms as one, and its photons: 3 lamps of 220,000 make some 800,000 indirect ones, two pieces at least.
+fn traced(dir: &Path) -> PathBuf {
+    let scene = furnished(dir);
+    let store = dir.join("b.enf");
     ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(["--rooms", "1", "--quiet"]));
     ok(bin("enf-grid").arg(&store).arg("--quiet"));
     ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "220k"]));
+    store
+}
+
+#[test]
+fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
+    let dir = tempfile::tempdir().unwrap();
+    let whole = traced(dir.path());
     let mut digests = Vec::new();
     let mut pictures = Vec::new();
     for (memory, threads) in [("56M", "1"), ("64M", "2"), ("1G", "2")] {
         let stats = dir.path().join("stats.json");
-        let traced = &store;
         let store = dir.path().join(format!("{memory}.enf"));
-        copy_store(traced, &store, &[]);
+        copy_store(&whole, &store, &[]);
         ok(bin("enf-kdtree")
             .arg(&store)
             .args(["--quiet", "--memory", memory, "--threads", threads, "--stats"])
@@ -48,11 +53,7 @@ fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
 #[test]
 fn a_map_that_does_not_fit_is_refused_with_what_would_do() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = furnished(dir.path());
-    let store = dir.path().join("b.enf");
-    ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).args(["--rooms", "1", "--quiet"]));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "220k"]));
+    let store = traced(dir.path());
     ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
     let render = |memory: &str| {
         let mut command = bin("enf-render");
