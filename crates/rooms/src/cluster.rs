@@ -70,7 +70,7 @@ pub(crate) fn cluster(
             }
         };
         let corners = t.map(point);
-        let centre = (corners[0] + corners[1] + corners[2]) / 3.0;
+        let centre = centre(t);
         let at = (normals[group as usize].dot(centre) / step).round() as i64;
         let mut best: Option<(f64, u32)> = None;
         for cell in [at, at - 1, at + 1] {
@@ -123,7 +123,36 @@ pub(crate) fn cluster(
             *c = renumber[*c as usize];
         }
     }
+    settle(&mut kept, &of, triangles, &order);
     (kept, of)
+}
+
+/// Moves each plane to the area-weighted median of its triangles' distances from it: onto the wall that has most area, not
+/// between it and the skirting, the frame or the other wall that stands within the tolerance. A mean lies on none of them, and
+/// whether a wall is in front of the plane or behind it decides the room that it belongs to.
+fn settle(clusters: &mut [Cluster], of: &[u32], triangles: &[[[f32; 3]; 3]], order: &[(f32, u32)]) {
+    // Cluster, distance of the centre from its plane, area: the distance is small, and single precision is ample.
+    let mut off: Vec<(u32, f32, f32)> = order
+        .iter()
+        .filter(|&&(_, i)| of[i as usize] != u32::MAX)
+        .map(|&(area, i)| {
+            let c = of[i as usize];
+            (c, clusters[c as usize].plane.distance(centre(&triangles[i as usize])) as f32, area)
+        })
+        .collect();
+    // By area too, so that the result does not depend on the order of triangles.
+    off.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
+    for own in off.chunk_by(|a, b| a.0 == b.0) {
+        let half = own.iter().map(|o| f64::from(o.2)).sum::<f64>() / 2.0;
+        let mut below = 0.0;
+        let median = own.iter().find(|o| {
+            below += f64::from(o.2);
+            below >= half
+        });
+        if let Some(&(c, distance, _)) = median {
+            clusters[c as usize].plane.offset += f64::from(distance);
+        }
+    }
 }
 
 /// Leaves out triangles that lie exactly on an earlier one, whatever their winding: walls that are there twice
@@ -201,7 +230,7 @@ fn promising(triangles: &[[[f32; 3]; 3]], least: f64) -> Vec<u64> {
         .collect()
 }
 
-/// The mean plane of a cluster; its normal is exactly an axis if it is one to rounding.
+/// The mean plane of a cluster, before [`settle`]; its normal is exactly an axis if it is one to rounding.
 fn fit(first: &Plane, normal_sum: DVec3, centre: DVec3) -> Plane {
     let normal = normal_sum / normal_sum.length();
     let snapped =
@@ -272,6 +301,11 @@ pub(crate) fn north(clusters: &[Cluster]) -> DVec3 {
 
 pub(crate) fn point(p: [f32; 3]) -> DVec3 {
     DVec3::new(f64::from(p[0]), f64::from(p[1]), f64::from(p[2]))
+}
+
+fn centre(t: &[[f32; 3]; 3]) -> DVec3 {
+    let [a, b, c] = t.map(point);
+    (a + b + c) / 3.0
 }
 
 pub(crate) fn area_vector(t: &[[f32; 3]; 3]) -> DVec3 {

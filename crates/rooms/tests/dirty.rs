@@ -122,6 +122,33 @@ fn a_model_that_is_inside_out() {
     check_three(&m, 0.02);
 }
 
+/// Boards half a millimetre off both sides of a wall: the plane that divides the rooms is the wall, not somewhere in between,
+/// and what a ray meets on the wall belongs to the room that it faces.
+#[test]
+fn a_wall_belongs_to_the_room_that_it_faces() {
+    for turn in [0.0_f64, 0.3, 0.7] {
+        let mut m = three_rooms(0.0);
+        for (x, y) in [(4.7996, 2.2), (5.0004, 2.8)] {
+            m.quad([[x, y, 0.5], [x, y + 1.5, 0.5], [x, y + 1.5, 2.5], [x, y, 2.5]]);
+        }
+        let (sin, cos) = turn.sin_cos();
+        let turned = |p: [f64; 3]| [cos * p[0] - sin * p[1], sin * p[0] + cos * p[1], p[2]];
+        for p in m.triangles.iter_mut().flatten() {
+            *p = turned(p.map(f64::from)).map(|x| x as f32);
+        }
+        let t = m.tables(vec![]);
+        let at = |x: f64, y: f64, z: f64| room(&t, turned([x, y, z]));
+        let (a, b) = (at(2.0, 2.5, 1.5), at(7.0, 2.5, 1.5));
+        assert_ne!(a, b);
+        let lift = 32.0 / 524_288.0 / 4.0;
+        for i in 0..400 {
+            let (y, z) = (2.0 + 2.9 * f64::from(i % 20) / 20.0, 0.05 + 0.125 * f64::from(i / 20));
+            assert_eq!(at(4.8 - lift, y, z), a, "west face, {y} {z}, turned by {turn}");
+            assert_eq!(at(5.0 + lift, y, z), b, "east face, {y} {z}, turned by {turn}");
+        }
+    }
+}
+
 #[test]
 fn gaps_of_up_to_a_centimetre_between_the_pieces_of_walls() {
     for gap in [0.001, 0.005, 0.01] {
