@@ -660,6 +660,10 @@ impl<'a> Shader<'a> {
             // Light that a gather ray finds where it began is counted elsewhere, see there.
             Flight::Escapes { .. } if record.flags & TRANSIT_GATHER != 0 => return false,
             Flight::Escapes { .. } => {
+                if record.bounce == 0 {
+                    let (film, pixel) = self.film_of(record);
+                    film.add_room(pixel, 0);
+                }
                 if let Some(daylight) = self.context.daylight {
                     let direction = Vec3::from(record.direction);
                     // After a gloss the sun is found by shadow rays, for its disc is hardly ever met.
@@ -711,6 +715,7 @@ impl<'a> Shader<'a> {
             let (film, pixel) = self.film_of(record);
             let albedo = lobes.diffuse.to_array();
             film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
+            film.add_room(pixel, self.room + 1);
             if record.photon == 0 {
                 film.set_room(pixel, self.room + 1);
             }
