@@ -434,10 +434,7 @@ fn render(
                     let ran =
                         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match task {
                             Task::Rays(job) => context.run(&job, &mut scratch).map(Done::Rays),
-                            Task::Smooth(smoothing) => {
-                                let (band, records) = smoothing.run(context);
-                                Ok(Done::Smoothed(band, records))
-                            }
+                            Task::Smooth(smoothing) => Ok(Done::Smoothed(smoothing.run(context))),
                         }));
                     drop(span);
                     let result = match ran {
