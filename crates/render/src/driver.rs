@@ -147,7 +147,7 @@ impl Default for State {
             waiting: BTreeMap::new(),
             lit: BTreeSet::new(),
             launches: BTreeMap::new(),
-            unlit: Arc::new(RoomLight { map: None, lights: Vec::new(), sun: false }),
+            unlit: Arc::new(RoomLight::default()),
             bands: Bands::new(),
             plan: Vec::new(),
             begun: 0,

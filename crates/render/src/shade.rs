@@ -36,6 +36,7 @@ use crate::camera::{self, View};
 use crate::caustics::Caustics;
 use crate::daylight;
 use crate::pages::{Pages, Paging, Share};
+use crate::sight::Sights;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
@@ -56,10 +57,13 @@ const MARK_OUTSIDE: u16 = 8;
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
 
 /// What a room answers with: its photon map, and the lights that it sees.
+#[derive(Default)]
 pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
     /// Ascending light ids, and how much of the room each lights: a factor of its importance.
     pub(crate) lights: Vec<(u32, f32)>,
+    /// What those of them that are in other rooms are seen through.
+    pub(crate) sights: Sights,
     /// Whether the sun shines in: then each point asks for it, beside those.
     pub(crate) sun: bool,
 }
@@ -271,6 +275,7 @@ pub(crate) struct Shader<'a> {
     pub(crate) caustics: Option<PhotonMap<'a>>,
     pub(crate) portals: PortalSet<'a>,
     lights: &'a [(u32, f32)],
+    sights: &'a Sights,
     sun: bool,
     films: &'a Films,
     /// Where the map is not whole.
@@ -439,6 +444,7 @@ impl Context<'_> {
             },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
+            sights: &job.light.sights,
             sun: job.light.sun,
             films: &job.films,
             paging: share.map(Paging::new),
@@ -960,6 +966,17 @@ impl<'a> Shader<'a> {
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
     }
 
+    /// What a light of the room's set, by its place there, counts at a surface when lights are chosen.
+    fn weight(&self, at: usize, surface: &Surface) -> f32 {
+        let (id, share) = self.lights[at];
+        let importance = self.importance(&self.context.tables.lights()[id as usize], surface);
+        if importance > 0.0 {
+            importance * self.sights.share(at, share, surface.position)
+        } else {
+            0.0
+        }
+    }
+
     /// Direct light by shadow rays to lights chosen from the room's set by importance, with a small share to all
     /// lights of the scene: every light has a probability, so nothing is biased. Where a gather ray has ended there is one
     /// ray, and none for what gloss reflects.
@@ -989,8 +1006,8 @@ impl<'a> Shader<'a> {
         let all = context.tables.lights();
         scratch.weights.clear();
         let mut total = 0.0f32;
-        for &(id, share) in self.lights {
-            total += share * self.importance(&all[id as usize], surface);
+        for at in 0..self.lights.len() {
+            total += self.weight(at, surface);
             scratch.weights.push(total);
         }
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
@@ -1022,8 +1039,7 @@ impl<'a> Shader<'a> {
             if total > 0.0
                 && let Ok(at) = known
             {
-                let weight = self.lights[at].1 * self.importance(light, surface);
-                probability += (1.0 - global) * weight / total;
+                probability += (1.0 - global) * self.weight(at, surface) / total;
             }
             if probability <= 0.0 {
                 continue;
