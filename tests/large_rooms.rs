@@ -59,20 +59,24 @@ fn maps_in_part_answer_as_whole_ones_do() {
     let store = dir.path().join("b.enf");
     ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).arg("--quiet"));
     ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "20k"]));
-    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "1000"]));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "30k"]));
+    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "2000"]));
     let reader = StageReader::open(&StoreDir::open(&store).unwrap(), StageKind::Kdtree).unwrap();
     let pieces = |room| reader.find(ExtentKind::Map, room).len();
     let most = (0..3).map(pieces).max().unwrap();
-    assert!(most >= 20, "{most} pieces");
+    assert!(most >= 12, "{most} pieces");
     for indirect in ["photon-map", "final-gather"] {
         let mut pictures = Vec::new();
-        for (memory, threads) in [(None, "2"), (Some("1K"), "1"), (Some("1K"), "3"), (Some("600K"), "2")] {
+        for (memory, threads) in
+            [(None, "2"), (Some("1K"), "1"), (Some("1K"), "3"), (Some("600K"), "2")]
+        {
             let stats = dir.path().join("stats.json");
             let picture = dir.path().join("door.exr");
             let mut command = bin("enf-render");
             command.arg(&store).args(["--view", "door", "--width", "48", "--height", "32"]);
-            command.args(["--samples", "2", "--indirect", indirect, "--threads", threads]);
+            // Few photons for an estimate: it reaches into few pieces, as it does where these are of half a million.
+            command.args(["--samples", "2", "--gather-photons", "16"]);
+            command.args(["--indirect", indirect, "--threads", threads]);
             command.args(["--quiet", "--force", "--stats"]).arg(&stats).arg("-o").arg(&picture);
             if let Some(memory) = memory {
                 command.args(["--map-memory", memory]);

@@ -122,7 +122,8 @@ fn smoothing_keeps_the_light() {
         }
     }
     // Squares of differences to the pixel beside, where both see one surface, and where both see the same two.
-    let normal = |i: usize| ["X", "Y", "Z"].map(|c| plain.channel(&format!("normal.{c}")).unwrap()[i]);
+    let normal =
+        |i: usize| ["X", "Y", "Z"].map(|c| plain.channel(&format!("normal.{c}")).unwrap()[i]);
     let length = |i: usize| normal(i).iter().map(|&c| f64::from(c).powi(2)).sum::<f64>().sqrt();
     for edges in [false, true] {
         let noise = |picture: &Loaded| {
@@ -555,7 +556,8 @@ fn force_renders_anew() {
     let scene = common::furnished(dir.path());
     let store = light(&scene, "2k", &[]);
     let mut seen: Option<Vec<u8>> = None;
-    for (force, made) in [(false, true), (false, false), (true, true), (false, false), (true, true)] {
+    for (force, made) in [(false, true), (false, false), (true, true), (false, false), (true, true)]
+    {
         let (stats, out) = (dir.path().join("s.json"), dir.path().join("door.exr"));
         let mut command = bin("enf-render");
         command.arg(&store).arg("-o").arg(&out).arg("--stats").arg(&stats);

@@ -49,10 +49,11 @@ impl Opening {
         let along = longest.try_normalize()?;
         let across = normal.cross(along);
         let extent = |side: Vec3| {
-            (0..corners.len()).map(|i| corner(i).dot(side)).fold(
-                [f32::INFINITY, f32::NEG_INFINITY],
-                |[least, most], at| [least.min(at), most.max(at)],
-            )
+            (0..corners.len())
+                .map(|i| corner(i).dot(side))
+                .fold([f32::INFINITY, f32::NEG_INFINITY], |[least, most], at| {
+                    [least.min(at), most.max(at)]
+                })
         };
         let [a, b] = [along, across].map(extent);
         let level = normal.dot(corner(0));
@@ -167,11 +168,8 @@ mod tests {
     fn a_lamp_is_seen_through_a_door() {
         let door = Opening::new(&door()).unwrap();
         assert!((door.centre - Vec3::new(0.0, 1.5, 1.0)).length() < 1e-6);
-        let lamp = |radius| Light {
-            position: Vec3::new(-2.0, 1.5, 2.5),
-            radius,
-            through: vec![door],
-        };
+        let lamp =
+            |radius| Light { position: Vec3::new(-2.0, 1.5, 2.5), radius, through: vec![door] };
         let at = |light: &Light, x: f32, y: f32, z: f32| door.shows(light, Vec3::new(x, y, z));
         // The way to the strip of floor, to beside it, to the wall above the door, to the corridor's own floor.
         let small = lamp(0.0);

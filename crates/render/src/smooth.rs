@@ -562,7 +562,8 @@ mod tests {
     /// An edge between two surfaces, at any share of either, is the mixture of the two; what is not known is the mean.
     #[test]
     fn a_fit_finds_the_mixture() {
-        let (floor, wall) = ([0.0, 0.0, 1.0, 0.2, 0.3, 0.4, 1.0], [1.0, 0.0, 0.0, 0.8, 0.8, 0.8, 1.0]);
+        let (floor, wall) =
+            ([0.0, 0.0, 1.0, 0.2, 0.3, 0.4, 1.0], [1.0, 0.0, 0.0, 0.8, 0.8, 0.8, 1.0]);
         let (dark, bright) = (Vec3::new(0.1, 0.2, 0.3), Vec3::new(4.0, 3.0, 2.0));
         let mut fit = Fit::default();
         assert_eq!(fit.at(floor), None);
