@@ -9,6 +9,7 @@ mod args;
 mod bands;
 mod camera;
 mod caustics;
+mod choice;
 mod daylight;
 mod driver;
 mod film;

@@ -15,7 +15,7 @@ use crate::caustics::Caustics;
 use crate::pages::{Pages, Plan};
 use crate::shade::{MapMemory, RoomLight, RoomMap};
 use crate::sight::Sights;
-use crate::{Indirect, daylight};
+use crate::{Indirect, choice, daylight};
 
 /// Loads rooms.
 #[derive(Clone, Copy)]
@@ -100,9 +100,10 @@ impl Load for RoomReader<'_> {
     fn load(&self, room: u32) -> std::result::Result<RoomLight, StoreError> {
         let mut lights = self.lights(room)?;
         let sun = daylight::adapt(&mut lights, self.tables, room);
+        let lights = choice::choices(&lights, self.tables);
         let sights = Sights::new(
             room,
-            lights.iter().map(|l| self.tables.lights()[l.0 as usize]),
+            &lights,
             self.tables.portals_of(room),
             self.tables.pieces(),
             self.bsp,

@@ -34,6 +34,7 @@ use crate::Indirect;
 use crate::bands::{self, Films, Lives};
 use crate::camera::{self, View};
 use crate::caustics::Caustics;
+use crate::choice::{self, Choice};
 use crate::daylight;
 use crate::pages::{Pages, Paging, Share};
 use crate::sight::Sights;
@@ -60,8 +61,8 @@ const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F,
 #[derive(Default)]
 pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
-    /// Ascending light ids, and how much of the room each lights: a factor of its importance.
-    pub(crate) lights: Vec<(u32, f32)>,
+    /// Lights and parts of lights, by ids and ranges.
+    pub(crate) lights: Vec<Choice>,
     /// What those of them that are in other rooms are seen through.
     pub(crate) sights: Sights,
     /// Whether the sun shines in: then each point asks for it, beside those.
@@ -274,7 +275,7 @@ pub(crate) struct Shader<'a> {
     pub(crate) map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     pub(crate) caustics: Option<PhotonMap<'a>>,
     pub(crate) portals: PortalSet<'a>,
-    lights: &'a [(u32, f32)],
+    lights: &'a [Choice],
     sights: &'a Sights,
     sun: bool,
     films: &'a Films,
@@ -966,12 +967,12 @@ impl<'a> Shader<'a> {
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
     }
 
-    /// What a light of the room's set, by its place there, counts at a surface when lights are chosen.
+    /// What one of the room's choices, by its place there, counts at a surface when lights are chosen.
     fn weight(&self, at: usize, surface: &Surface) -> f32 {
-        let (id, share) = self.lights[at];
-        let importance = self.importance(&self.context.tables.lights()[id as usize], surface);
+        let choice = &self.lights[at];
+        let importance = self.importance(&choice.part, surface);
         if importance > 0.0 {
-            importance * self.sights.share(at, share, surface.position)
+            importance * self.sights.share(at, choice.share, surface.position)
         } else {
             0.0
         }
@@ -1023,23 +1024,27 @@ impl<'a> Shader<'a> {
                 rng::unit(index.wrapping_mul(KRONECKER[dimension]).wrapping_add(shift))
             };
             let u = [place(0, s[0]), place(1, s[1])];
-            let v = [place(2, t[0]), place(3, t[1]), place(4, t[2])];
-            let chosen = if u[0] >= global {
+            let mut v = [place(2, t[0]), place(3, t[1]), place(4, t[2])];
+            let (chosen, known) = if u[0] >= global {
                 let place = u[1] * total;
                 let at = scratch.weights.partition_point(|&w| w <= place);
-                self.lights[at.min(self.lights.len() - 1)].0
+                let at = at.min(self.lights.len() - 1);
+                v[0] = self.lights[at].of_part(v[0]);
+                (self.lights[at].light, Some(at))
             } else {
                 let place = f64::from(u[1]);
                 let at = context.power.partition_point(|&p| p <= place);
-                at.min(all.len() - 1) as u32
+                let chosen = at.min(all.len() - 1) as u32;
+                (chosen, choice::of(self.lights, chosen, v[0]))
             };
             let light = &all[chosen as usize];
             let mut probability = global * power_of(context.power, chosen as usize);
-            let known = self.lights.binary_search_by_key(&chosen, |l| l.0);
             if total > 0.0
-                && let Ok(at) = known
+                && let Some(at) = known
             {
-                probability += (1.0 - global) * self.weight(at, surface) / total;
+                // Of a point of the part, beside one of the whole light.
+                let dense = 1.0 / self.lights[at].width();
+                probability += (1.0 - global) * dense * self.weight(at, surface) / total;
             }
             if probability <= 0.0 {
                 continue;
@@ -1068,7 +1073,7 @@ impl<'a> Shader<'a> {
                 None => 1.0,
             };
             let reflected = reflected(sample.direction, &share);
-            let mark = if known.is_err() { MARK_OUTSIDE } else { 0 };
+            let mark = if known.is_none() { MARK_OUTSIDE } else { 0 };
             self.ask(record, surface, reflected, &sample, mark, scratch, products);
         }
         if let (Some(daylight), true) = (context.daylight, self.sun) {

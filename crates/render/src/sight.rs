@@ -9,8 +9,9 @@ use enf_layout::room::{PIECE_CORNERS, PortalPieceRecord, PortalRecord};
 use enf_rooms::Bsp;
 use glam::Vec3;
 
-use enf_layout::light::LightRecord;
 use enf_transport::sky::Daylight;
+
+use crate::choice::Choice;
 
 /// What a light that seems hidden counts, of one that does not.
 const HIDDEN: f32 = 0.1;
@@ -106,10 +107,10 @@ struct Light {
 pub(crate) struct Sights(Vec<Option<Light>>);
 
 impl Sights {
-    /// For the lights of a room's set, in their order. `portals` are the room's.
+    /// For what a room's points choose from, in its order. `portals` are the room's.
     pub(crate) fn new(
         room: u32,
-        lights: impl Iterator<Item = LightRecord>,
+        lights: &[Choice],
         portals: &[PortalRecord],
         pieces: &[PortalPieceRecord],
         bsp: &Bsp<'_>,
@@ -119,8 +120,9 @@ impl Sights {
             pieces.get(first..first + p.piece_count as usize).unwrap_or(&[])
         };
         let openings: Vec<Opening> = portals.iter().flat_map(of).filter_map(Opening::new).collect();
-        let sight = |light: LightRecord| {
-            if Daylight::is_daylight(&light) || openings.is_empty() {
+        let sight = |choice: &Choice| {
+            let light = &choice.part;
+            if Daylight::is_daylight(light) || openings.is_empty() {
                 return None;
             }
             let position = Vec3::from(light.position);
@@ -136,10 +138,10 @@ impl Sights {
             light.through = best.iter().take(OPENINGS).map(|&(_, at)| openings[at]).collect();
             Some(light)
         };
-        Self(lights.map(sight).collect())
+        Self(lights.iter().map(sight).collect())
     }
 
-    /// How much a light of the set counts at a point: its `share` if it is in the room.
+    /// How much a light counts at a point, by its place among the choices: its `share` if it is in the room.
     #[inline]
     pub(crate) fn share(&self, light: usize, share: f32, point: Vec3) -> f32 {
         match self.0.get(light) {
