@@ -3,6 +3,8 @@
 mod common;
 
 use common::{bin, copy_store, digest, fails, furnished, json, number, ok};
+use enf_layout::segment::{ExtentKind, StageKind};
+use enf_store::{StageReader, StoreDir};
 use std::path::{Path, PathBuf};
 
 /// All rooms as one, and its photons: 3 lamps of 220,000 make some 800,000 indirect ones, two pieces at least.
@@ -46,6 +48,46 @@ fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
     }
     assert!(digests.iter().all(|d| *d == digests[0]), "{digests:?}");
     assert!(pictures.iter().all(|p| *p == pictures[0]), "another picture");
+}
+
+/// Rooms with doorways, whose maps are cut into dozens of small pieces: with all of them in memory, or eight at a time for each job,
+/// the same pictures, seen directly and by final gathering, with one thread and with several.
+#[test]
+fn maps_in_part_answer_as_whole_ones_do() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnished(dir.path());
+    let store = dir.path().join("b.enf");
+    ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).arg("--quiet"));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "30k"]));
+    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "2000"]));
+    let reader = StageReader::open(&StoreDir::open(&store).unwrap(), StageKind::Kdtree).unwrap();
+    let pieces = |room| reader.find(ExtentKind::Map, room).len();
+    let most = (0..3).map(pieces).max().unwrap();
+    assert!(most >= 12, "{most} pieces");
+    for indirect in ["photon-map", "final-gather"] {
+        let mut pictures = Vec::new();
+        for (memory, threads) in
+            [(None, "2"), (Some("1K"), "1"), (Some("1K"), "3"), (Some("600K"), "2")]
+        {
+            let stats = dir.path().join("stats.json");
+            let picture = dir.path().join("door.exr");
+            let mut command = bin("enf-render");
+            command.arg(&store).args(["--view", "door", "--width", "48", "--height", "32"]);
+            // Few photons for an estimate: it reaches into few pieces, as it does where these are of half a million.
+            command.args(["--samples", "2", "--gather-photons", "16"]);
+            command.args(["--indirect", indirect, "--threads", threads]);
+            command.args(["--quiet", "--force", "--stats"]).arg(&stats).arg("-o").arg(&picture);
+            if let Some(memory) = memory {
+                command.args(["--map-memory", memory]);
+            }
+            ok(&mut command);
+            let in_part = number(&json(&stats), "maps_in_part");
+            assert_eq!(in_part > 0.0, memory.is_some(), "{in_part} maps in part with {memory:?}");
+            pictures.push(std::fs::read(&picture).unwrap());
+        }
+        assert!(pictures.iter().all(|p| *p == pictures[0]), "{indirect}: another picture");
+    }
 }
 
 /// A budget that does not hold what is needed of a map at once is refused before anything is begun, and the answer says which one would

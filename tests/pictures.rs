@@ -88,9 +88,9 @@ fn a_furnace_is_even_about_small_things() {
     assert!((found - 4.0).abs() < 0.08, "{found}");
 }
 
-/// Smoothing moves light between pixels and makes or loses next to none: not in either room, nor on the edges of the
-/// doorway between a bright one and a dark one. Both pictures are of the same rays. (Of what is seen of the dark one, some forty
-/// pixels, the brightest lie at the doorway's line, where the room's other pixels, all darker, are their only partners: 0.96.)
+/// Smoothing moves light between pixels and neither makes nor loses any: not in either room, nor of the pixels that see both, at
+/// the doorway between a bright one and a dark one. Both pictures are of the same rays. And it smooths: neighbours on an open wall,
+/// and along edges, differ by less.
 #[test]
 fn smoothing_keeps_the_light() {
     let dir = tempfile::tempdir().unwrap();
@@ -100,30 +100,50 @@ fn smoothing_keeps_the_light() {
         std::fs::copy(scenes.join(name), dir.path().join(name)).unwrap();
     }
     let store = light(&scene, "60k", &[]);
-    let flags = ["--width", "96", "--height", "72", "--max-samples", "8", "--gather-rays", "8"];
+    // Two bands and more: what is exchanged across their edges counts as well.
+    let (width, height) = (256, 192);
+    let size = ["--width", "256", "--height", "192", "--samples", "4", "--max-samples", "4"];
     let [plain, smooth] = ["0", "0.25"].map(|share| {
-        let flags = [&GATHER[..], &flags[..], &["--gather-smoothing", share]].concat();
+        let flags = [&GATHER[..], &size[..], &["--gather-smoothing", share]].concat();
         render(&store, dir.path(), share, "west", &flags)
     });
-    let normal = |i: usize| {
-        let square = |c: &str| f64::from(plain.channel(c).unwrap()[i]).powi(2);
-        (square("normal.X") + square("normal.Y") + square("normal.Z")).sqrt()
-    };
-    let rooms = plain.channel("room.ID").unwrap();
-    for room in [0.0, 1.0] {
-        // Edges that are mixed up with what is beside them had 0.67 of their light in the dark room.
-        for (edges, limit) in [(true, 0.04), (false, 0.06)] {
-            let pixels: Vec<usize> = (0..rooms.len())
-                .filter(|&i| rooms[i] == room && (normal(i) < 0.98) == edges)
-                .collect();
+    let [rooms, mixed] = ["room.ID", "room.mixed"].map(|c| plain.channel(c).unwrap().to_vec());
+    let of = |i: usize| if mixed[i] > 0.0 { 2 } else { rooms[i] as usize };
+    for place in 0..3 {
+        let pixels: Vec<usize> = (0..rooms.len()).filter(|&i| of(i) == place).collect();
+        assert!(pixels.len() > 100, "place {place} has {} pixels", pixels.len());
+        for channel in ["indirect.R", "indirect.G", "indirect.B"] {
             let sum = |picture: &Loaded| {
-                let values = picture.channel("indirect.G").unwrap();
+                let values = picture.channel(channel).unwrap();
                 pixels.iter().map(|&i| f64::from(values[i])).sum::<f64>()
             };
             let ratio = sum(&smooth) / sum(&plain);
-            assert!(pixels.len() > 30, "{room} {edges}");
-            assert!((ratio - 1.0).abs() < limit, "room {room}, edges {edges}: {ratio}");
+            assert!((ratio - 1.0).abs() < 1e-3, "place {place}, {channel}: {ratio}");
         }
+    }
+    // Squares of differences to the pixel beside, where both see one surface, and where both see the same two.
+    let normal =
+        |i: usize| ["X", "Y", "Z"].map(|c| plain.channel(&format!("normal.{c}")).unwrap()[i]);
+    let length = |i: usize| normal(i).iter().map(|&c| f64::from(c).powi(2)).sum::<f64>().sqrt();
+    for edges in [false, true] {
+        let noise = |picture: &Loaded| {
+            let light = picture.channel("indirect.G").unwrap();
+            let mut squares = 0.0;
+            for y in 1..height {
+                for x in 1..width {
+                    let (i, j) = (y * width + x, y * width + x - 1);
+                    let apart = (0..3).map(|c| (normal(i)[c] - normal(j)[c]).abs()).sum::<f32>();
+                    let are_edges = [i, j].map(|p| length(p) < 0.97) == [true; 2];
+                    let are_flat = [i, j].map(|p| length(p) > 0.99) == [true; 2];
+                    if apart < 0.2 && if edges { are_edges } else { are_flat } {
+                        squares += f64::from(light[i] - light[j]).powi(2);
+                    }
+                }
+            }
+            squares
+        };
+        let (before, after) = (noise(&plain), noise(&smooth));
+        assert!(before > 0.0 && after < 0.1 * before, "edges {edges}: {before} to {after}");
     }
 }
 
@@ -471,6 +491,85 @@ fn an_unknown_view_is_refused_at_once() {
         4,
     );
     assert!(text.contains("v.toml") && text.contains("perspective, panorama and plan"), "{text}");
+}
+
+/// Light through a hole of 5 cm, too small to be an opening: no photon and no probe has found the way, so it is of a lamp outside
+/// the room's set. It falls on a spot on the far wall that a lamp of the room lights as well: which share is whose is a matter of
+/// intensities and distances.
+#[test]
+fn light_from_outside_the_set_is_told() {
+    let dir = tempfile::tempdir().unwrap();
+    let mut m = Model::default();
+    m.object("walls");
+    m.material("white");
+    for (min, max) in [
+        ([-8.2, -2.2, -0.2], [4.2, 2.2, 0.0]),
+        ([-8.2, -2.2, 3.0], [4.2, 2.2, 3.2]),
+        ([-8.2, -2.2, 0.0], [4.2, -2.0, 3.0]),
+        ([-8.2, 2.0, 0.0], [4.2, 2.2, 3.0]),
+        ([-8.2, -2.0, 0.0], [-8.0, 2.0, 3.0]),
+        ([4.0, -2.0, 0.0], [4.2, 2.0, 3.0]),
+        // The wall between the rooms, 1 cm thick, about the hole.
+        ([0.0, -2.0, 0.0], [0.01, -0.025, 3.0]),
+        ([0.0, 0.025, 0.0], [0.01, 2.0, 3.0]),
+        ([0.0, -0.025, 0.0], [0.01, 0.025, 1.475]),
+        ([0.0, -0.025, 1.525], [0.01, 0.025, 3.0]),
+    ] {
+        m.cuboid(min, max, false);
+    }
+    m.write(&dir.path().join("hole.obj"), "newmtl white\nKd 0.5 0.5 0.5\n");
+    let scene = dir.path().join("hole.toml");
+    std::fs::write(
+        &scene,
+        "[[mesh]]\nfile = \"hole.obj\"\n\
+         [[light]]\nkind = \"point\"\nposition = [-4, 0, 1.5]\ncandela = 400\n\
+         [[light]]\nkind = \"point\"\nposition = [2, 0, 2.5]\ncandela = 20\n\
+         [[view]]\nname = \"spot\"\neye = [1, 0, 1.5]\ntarget = [4, 0, 1.5]\nfov = 0.8\n",
+    )
+    .unwrap();
+    let store = light(&scene, "20", &[]);
+    let sets = StageReader::open(&StoreDir::open(&store).unwrap(), StageKind::Trace).unwrap();
+    let counts: Vec<u64> = (0..2)
+        .map(|room| sets.find(ExtentKind::LightSet, room).iter().map(|e| e.count).sum())
+        .collect();
+    assert_eq!(counts, [1, 1], "each room knows its own lamp");
+    // 32 x 32 pixels of 4.2 cm, the spot being 10 cm wide; one shadow ray in a hundred goes to the lamp outside.
+    let flags = ["--width", "32", "--height", "32", "--samples", "128", "--max-samples", "128"];
+    let flags = [&flags[..], &["--indirect", "none"]].concat();
+    let picture = render(&store, dir.path(), "spot", "spot", &flags);
+    // Candela times the cosine over the square: 400 / 8^2 head-on; 20 / (2^2 + 1^2) at a cosine of 2 / sqrt 5.
+    let (outside, own) = (400.0 / 64.0, 20.0 / 5.0 * 2.0 / 5f64.sqrt());
+    let share = outside / (outside + own);
+    let found = number(&json(&dir.path().join("render.json")), "light_outside_sets_share");
+    // Some 2,600 of 262,144 shadow rays go through the hole: their sum is off by 2 %, the share by 0.8 of a hundred.
+    assert!((found - share).abs() < 0.035, "{found} for {share}");
+    // Radiance: a reflectance of 0.5, and candela are lumens a steradian at 179 lumens a watt.
+    let wanted = 0.5 / PI * (outside + own) / 179.0;
+    let mean = mean(&picture, "G");
+    assert!((mean / wanted - 1.0).abs() < 0.06, "{mean} for {wanted}");
+}
+
+/// `--force` makes the same picture anew; without it nothing is done, and the files are as they were either way.
+#[test]
+fn force_renders_anew() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = common::furnished(dir.path());
+    let store = light(&scene, "2k", &[]);
+    let mut seen: Option<Vec<u8>> = None;
+    for (force, made) in [(false, true), (false, false), (true, true), (false, false), (true, true)]
+    {
+        let (stats, out) = (dir.path().join("s.json"), dir.path().join("door.exr"));
+        let mut command = bin("enf-render");
+        command.arg(&store).arg("-o").arg(&out).arg("--stats").arg(&stats);
+        command.args(["--quiet"]).args(common::PICTURE);
+        if force {
+            command.arg("--force");
+        }
+        ok(&mut command);
+        assert_eq!(number(&json(&stats), "rays_camera") > 0.0, made, "force {force}");
+        let bytes = std::fs::read(&out).unwrap();
+        assert!(*seen.get_or_insert_with(|| bytes.clone()) == bytes, "force {force}");
+    }
 }
 
 /// All files of a picture, read back: they show the same light. Another view of a finished store leaves them alone.

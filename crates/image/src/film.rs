@@ -38,6 +38,19 @@ const CHANNELS: usize = 19;
 struct Cell {
     sums: [AtomicI64; CHANNELS],
     room: AtomicU32,
+    /// Largest room plus 1 that a sample sees, and the smallest: as its complement, so that it is a maximum too.
+    rooms: [AtomicU32; 2],
+}
+
+impl Cell {
+    /// [`PixelRecord::room`].
+    fn room(&self) -> f32 {
+        let room = self.room.load(Relaxed) as f32;
+        let [largest, smallest] = self.rooms.each_ref().map(|r| r.load(Relaxed));
+        // Both are 0 where nothing was said.
+        let several = smallest != 0 && largest != !smallest;
+        if several { -room } else { room }
+    }
 }
 
 /// What gather rays say about a pixel.
@@ -191,6 +204,19 @@ impl Film {
         }
     }
 
+    /// Says which room a sample sees, plus 1; 0 where it sees nothing. So it comes to be known which pixels see several.
+    pub fn add_room(&self, pixel: u32, room_plus_1: u32) {
+        match self.cells.get(pixel as usize) {
+            Some(Cell { rooms: [largest, smallest], .. }) => {
+                largest.fetch_max(room_plus_1, Relaxed);
+                smallest.fetch_max(!room_plus_1, Relaxed);
+            }
+            None => {
+                self.rejected.fetch_add(1, Relaxed);
+            }
+        }
+    }
+
     fn add(&self, pixel: u32, first: usize, values: &[f32]) {
         let cell = match self.cells.get(pixel as usize) {
             Some(cell) if values.iter().all(|v| v.is_finite()) => cell,
@@ -264,7 +290,7 @@ impl Film {
                 albedo: rgb(ALBEDO),
                 normal: rgb(NORMAL),
                 depth: mean(DEPTH),
-                room: cell.room.load(Relaxed) as f32,
+                room: cell.room(),
             };
         }
     }
@@ -310,6 +336,24 @@ mod tests {
         assert_eq!((out[1].depth, out[1].room), (7.5, 13.0));
         assert!((out[1].albedo[0] - 0.1).abs() < 1e-9);
         assert_eq!(film.rejected(), 0);
+    }
+
+    /// Rooms 0 and 1, nothing and a room, one room alone, nothing at all; whatever the order.
+    #[test]
+    fn pixels_that_see_several_rooms_are_marked() {
+        let film = Film::new(5);
+        for (pixel, rooms) in [(0, [2, 1]), (1, [0, 3]), (2, [4, 4]), (3, [0, 0])] {
+            film.set_room(pixel, rooms[0]);
+            for room in rooms {
+                film.add_room(pixel, room);
+            }
+        }
+        film.add_room(9, 1);
+        assert_eq!(film.rejected(), 1);
+        let rooms: Vec<f32> = resolved(&film, 2).iter().map(|r| r.room).collect();
+        assert_eq!(rooms, [-2.0, 0.0, 4.0, 0.0, 0.0]);
+        let several: Vec<bool> = rooms.iter().map(|r| r.is_sign_negative()).collect();
+        assert_eq!(several, [true, true, false, false, false]);
     }
 
     #[test]

@@ -8,7 +8,8 @@
 //! | `albedo.R` ... | diffuse albedo of what is seen |
 //! | `normal.X` `.Y` `.Z` | normal of what is seen, world space |
 //! | `depth.Z` | distance to what is seen, m; 0 where nothing is |
-//! | `room.ID` | number of the room that is seen; -1 where nothing is |
+//! | `room.ID` | number of the room that is seen by the pixel's first sample; -1 where nothing is |
+//! | `room.mixed` | 1 where the pixel's samples see several rooms, or one and nothing; else 0 |
 //!
 //! The header says that the primaries are Rec.709 and that white of radiance 1 is 179 cd/m², so
 //! that a viewer can show luminance. It says nothing about when, where or how the file was made.
@@ -37,7 +38,7 @@ use crate::{ImageError, LUMENS_PER_WATT, Picture, Rows};
 type Channel = (&'static str, fn(&PixelRecord) -> f32);
 
 /// Every channel, in the order of the file (by ASCII).
-const CHANNELS: [Channel; 17] = [
+const CHANNELS: [Channel; 18] = [
     ("B", |p| p.direct[2] + p.indirect[2]),
     ("G", |p| p.direct[1] + p.indirect[1]),
     ("R", |p| p.direct[0] + p.indirect[0]),
@@ -54,7 +55,8 @@ const CHANNELS: [Channel; 17] = [
     ("normal.X", |p| p.normal[0]),
     ("normal.Y", |p| p.normal[1]),
     ("normal.Z", |p| p.normal[2]),
-    ("room.ID", |p| p.room - 1.0),
+    ("room.ID", |p| p.room.abs() - 1.0),
+    ("room.mixed", |p| f32::from(u8::from(p.room.is_sign_negative()))),
 ];
 
 /// Bytes of a pixel in all channels.

@@ -27,6 +27,16 @@ pub struct KdtreeArgs {
     /// Largest radius that irradiance will be gathered from, and width of the halo, m
     #[arg(long, value_name = "METRES", default_value_t = 0.6, value_parser = parse_radius)]
     pub gather_radius: f32,
+    /// Photons of a map's piece at most. For tests: another number makes other bytes, and the same light
+    #[arg(long, value_name = "N", default_value_t = PIECE_PHOTONS as u32, hide = true,
+        value_parser = clap::value_parser!(u32).range(1..=PIECE_PHOTONS as i64))]
+    pub piece_photons: u32,
+}
+
+impl KdtreeArgs {
+    fn most(&self) -> usize {
+        self.piece_photons as usize
+    }
 }
 
 fn parse_radius(text: &str) -> std::result::Result<f32, String> {
@@ -75,6 +85,9 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
 
     let mut identity = session::inherit(&store, StageKind::Trace)?;
     identity.push("gather-radius", cli.kdtree.gather_radius);
+    if cli.kdtree.most() != PIECE_PHOTONS {
+        identity.push("piece-photons", cli.kdtree.piece_photons);
+    }
     match session::begin(&store, StageKind::Kdtree, common.process, &identity, cli.force)? {
         Begin::Finished => {
             say(common, "nothing to do, every map is there already");
@@ -107,7 +120,8 @@ fn build(
         writer.extents().filter(|e| e.kind == ExtentKind::Map).map(|e| e.id).collect();
     let todo: Vec<u32> = rooms.iter().copied().filter(|r| !made.contains(r)).collect();
     // The gathered list, and the blob that is built from it.
-    let needs = |room: u32| stored(photons, room).min(PIECE_PHOTONS as u64) * 50 + (1 << 20);
+    let most = cli.kdtree.most();
+    let needs = |room: u32| stored(photons, room).min(most as u64) * 50 + (1 << 20);
     let largest = todo.iter().copied().map(needs).max().unwrap_or(0);
     // Two rooms at once where both fit with room for their halos, else all threads on one tree.
     let at_once = if largest * 5 / 2 < budget.available() / common.threads as u64 {
@@ -122,7 +136,7 @@ fn build(
     let progress = Progress::new(common, "photon maps", Some(total), "photons");
     let names: Vec<_> = (0..at_once).map(|t| format!("kdtree {t}")).collect();
     let timeline = &session.timeline;
-    let source = Source { tables, photons, budget: &budget, radius };
+    let source = Source { tables, photons, budget: &budget, radius, most };
     let mut announcer = Announcer::new(rooms, out);
     let (mut sum, mut halo_sum, mut done) = (0, 0, 0);
     let mut finished = made;
@@ -189,6 +203,8 @@ struct Source<'a> {
     budget: &'a MemoryBudget,
     /// Width of the halo, m.
     radius: f32,
+    /// Photons of a piece.
+    most: usize,
 }
 
 impl Source<'_> {
@@ -226,7 +242,7 @@ impl Source<'_> {
 
     /// The map of a room whose photons fit into one piece; nothing if there are more.
     fn map_of(&self, room: u32, threads: usize) -> Result<Option<Map>> {
-        let own = stored(self.photons, room).min(PIECE_PHOTONS as u64);
+        let own = stored(self.photons, room).min(self.most as u64);
         let too_small = |_| self.too_small(room, own);
         let mut list: Array<PhotonRecord> =
             Array::with_capacity(self.budget, own as usize, "photons of a room")
@@ -234,9 +250,13 @@ impl Source<'_> {
         let mut count = 0usize;
         self.each(room, &mut |photon| {
             count += 1;
-            if count <= PIECE_PHOTONS { add(&mut list, *photon).map_err(too_small) } else { Ok(()) }
+            if count <= self.most {
+                add(&mut list, *photon, self.most).map_err(too_small)
+            } else {
+                Ok(())
+            }
         })?;
-        if count > PIECE_PHOTONS {
+        if count > self.most {
             return Ok(None);
         }
         self.piece(room, &list, [0, 1], threads).map(Some)
@@ -272,7 +292,7 @@ impl Source<'_> {
         })?;
         let ranges = {
             let _counts = self.budget.reserve(DIVIDE_BYTES, "cuts between photons");
-            divide(PIECE_PHOTONS as u64, |see| {
+            divide(self.most as u64, |see| {
                 self.each(room, &mut |photon| {
                     see(cube.number(photon));
                     Ok(())
@@ -333,10 +353,11 @@ impl Source<'_> {
 fn add(
     list: &mut Array<PhotonRecord>,
     photon: PhotonRecord,
+    most: usize,
 ) -> std::result::Result<(), enf_store::BudgetError> {
     if let Err(photon) = list.push(photon) {
         let more = list.capacity() + list.capacity() / 4 + 1024;
-        list.resize_capacity(more.min(PIECE_PHOTONS.max(list.capacity() + 1)))?;
+        list.resize_capacity(more.min(most.max(list.capacity() + 1)))?;
         // There is room now.
         let _ = list.push(photon);
     }

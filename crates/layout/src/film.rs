@@ -16,7 +16,8 @@ pub struct PixelRecord {
     pub normal: [f32; 3],
     /// Distance to what is seen first, m (0 where nothing is).
     pub depth: f32,
-    /// Room of what the pixel's first sample sees, plus 1; 0 where nothing is.
+    /// Room of what the pixel's first sample sees, plus 1; 0 where nothing is. With a minus sign (-0 too) where its samples see
+    /// several rooms, or one and nothing.
     pub room: f32,
 }
 const _: () = assert!(size_of::<PixelRecord>() == 56);

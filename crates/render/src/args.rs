@@ -6,7 +6,7 @@ use clap::{Args, ValueEnum};
 use enf_illumination::Kernel;
 use enf_image::Tone;
 use enf_scene::{Camera, Projection};
-use enf_stage::{CommonArgs, Failure, Result, parse_count};
+use enf_stage::{CommonArgs, Failure, Result, parse_count, parse_size};
 use enf_trace::QueueArgs;
 
 use crate::camera;
@@ -175,6 +175,10 @@ pub struct RenderArgs {
     /// Gathered light is averaged over neighbouring pixels of a surface, as far as this share of the mean distance to what lights it; 0 turns that off
     #[arg(long, value_name = "SHARE", default_value_t = 0.25, value_parser = parse_share)]
     pub gather_smoothing: f32,
+    /// Bytes of a room's photon map that are in memory at most, as far as that works. For tests: what is larger is in memory in part, and
+    /// pictures are the same
+    #[arg(long, value_name = "SIZE", hide = true, value_parser = parse_size)]
+    pub map_memory: Option<u64>,
     /// Files per view
     #[arg(
         long,
@@ -293,7 +297,7 @@ pub struct Cli {
     /// Do not read ids from standard input: start at once
     #[arg(long)]
     pub all_rooms: bool,
-    /// Overwrite another run's pictures
+    /// Render anew: discard the film that is there, of the same pictures or of others, and overwrite the files
     #[arg(long)]
     pub force: bool,
     #[command(flatten)]

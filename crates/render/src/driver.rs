@@ -33,14 +33,14 @@ const VISIT_JOBS: u32 = 64;
 pub(crate) enum Task {
     /// Rays.
     Rays(Job),
-    /// A band whose gathered light is to be averaged.
+    /// A band that comes to those whose gathered light is averaged.
     Smooth(Box<Smoothing>),
 }
 
 /// What comes back.
 pub(crate) enum Done {
     Rays(Products),
-    Smoothed(u32, Vec<PixelRecord>),
+    Smoothed(Vec<smooth::Smoothed>),
 }
 
 /// Counts for the report.
@@ -127,7 +127,7 @@ pub(crate) struct State {
     begun: usize,
     /// Finished bands that wait for those before them, when neighbours are averaged.
     exposed: BTreeMap<u32, Exposed>,
-    /// Bands, in the plan, that have been handed to the window.
+    /// Bands, in the plan, that have been handed over to be averaged.
     pushed: usize,
     visit: Option<Visit>,
     /// Tasks that are handed out and not done.
@@ -147,7 +147,7 @@ impl Default for State {
             waiting: BTreeMap::new(),
             lit: BTreeSet::new(),
             launches: BTreeMap::new(),
-            unlit: Arc::new(RoomLight { map: None, lights: Vec::new(), sun: false }),
+            unlit: Arc::new(RoomLight::default()),
             bands: Bands::new(),
             plan: Vec::new(),
             begun: 0,
@@ -181,22 +181,23 @@ impl Driver<'_> {
         progress.resume((share * rays as f64) as u64, share);
         let smoothed = self.args.smooths();
         let widest = self.context.views.iter().map(|v| v.camera.width).max().unwrap_or(0);
-        // Two bands wait for their neighbours, or for being one.
+        // Pixels wait for those about them.
         let _reservation = match smoothed {
             true => Some(self.reserve(smooth::bytes(total.min(BAND_PIXELS), widest), "film")?),
             false => None,
         };
-        let mut window = smooth::Window::new(widest);
+        let window = smooth::Window::new(widest, total, self.args);
+        let about = if smoothed { smooth::bands_before(widest) } else { 0 };
         for band in 0..bands {
             let write = !done.contains(&band);
             // What comes after a band is smoothed across its edge: the same samples make the same bits once more.
-            let before = smoothed && band + 1 < bands && !done.contains(&(band + 1));
+            let before = (band + 1..bands.min(band + 1 + about)).any(|b| !done.contains(&b));
             match write || before {
                 true => self.state.plan.push((band, write)),
                 false => self.state.written_rays += self.rays_of(band, total),
             }
         }
-        let worked = self.work(total, &mut window, &progress);
+        let worked = self.work(total, &window, &progress);
         // Every job that was handed out must come back, whatever went wrong.
         while self.state.flying > 0 && self.channels.finished.recv().is_ok() {
             self.state.flying -= 1;
@@ -219,7 +220,7 @@ impl Driver<'_> {
         u64::from(pixels) * u64::from(self.context.samples)
     }
 
-    fn work(&mut self, total: u32, window: &mut smooth::Window, progress: &Progress) -> Result<()> {
+    fn work(&mut self, total: u32, window: &smooth::Window, progress: &Progress) -> Result<()> {
         loop {
             // A band that is interrupted is begun again: nothing is gained by coming to the end of anything.
             interrupt::check()?;
@@ -241,7 +242,7 @@ impl Driver<'_> {
                     continue;
                 }
                 if self.state.bands.is_empty() && self.state.begun == self.state.plan.len() {
-                    return self.develop_last(window);
+                    return Ok(());
                 }
                 return Err(Failure::internal("rays of a band are lost"));
             }
@@ -303,7 +304,7 @@ impl Driver<'_> {
     }
 
     /// What bands without a ray lead to: another pass, or pixels.
-    fn end_passes(&mut self, total: u32, window: &mut smooth::Window) -> Result<()> {
+    fn end_passes(&mut self, total: u32, window: &smooth::Window) -> Result<()> {
         while let Some(band) = self.state.bands.over() {
             let span = self.lane.span("develop", band);
             let after = self.state.bands.end_pass(band, self.context, self.args);
@@ -323,22 +324,16 @@ impl Driver<'_> {
         self.push_exposed(window)
     }
 
-    /// Hands bands whose turn it is to the window, and what can be averaged to the threads.
-    fn push_exposed(&mut self, window: &mut smooth::Window) -> Result<()> {
-        while let Some(&(band, write)) = self.state.plan.get(self.state.pushed) {
-            if self.state.smoothing {
-                break;
-            }
-            let Some(exposed) = self.state.exposed.remove(&band) else { break };
+    /// Hands the band whose turn it is to the threads; one at a time is averaged with those before.
+    fn push_exposed(&mut self, window: &smooth::Window) -> Result<()> {
+        let next = self.state.plan.get(self.state.pushed).copied();
+        if let (Some((band, write)), false) = (next, self.state.smoothing)
+            && let Some(exposed) = self.state.exposed.remove(&band)
+        {
             self.state.pushed += 1;
             let Exposed { records, gathered, reservation } = exposed;
             drop(reservation);
-            let ready = window.push(smooth::Exposed { band, write, records, gathered });
-            if ready.is_some()
-                && let Some(smoothing) = window.take(self.args)
-            {
-                self.smooth(smoothing)?;
-            }
+            self.smooth(window.push(smooth::Exposed { band, write, records, gathered }))?;
         }
         Ok(())
     }
@@ -348,17 +343,6 @@ impl Driver<'_> {
         self.channels.tasks.send(task).map_err(|_| threads_stopped())?;
         self.state.flying += 1;
         self.state.smoothing = true;
-        Ok(())
-    }
-
-    /// The last band has no neighbour to wait for.
-    fn develop_last(&mut self, window: &mut smooth::Window) -> Result<()> {
-        if self.args.smooths()
-            && let Some(smoothing) = window.take(self.args)
-        {
-            let (band, records) = smoothing.run(self.context);
-            self.put(band, &records)?;
-        }
         Ok(())
     }
 
@@ -698,9 +682,11 @@ impl Driver<'_> {
         self.state.refused = false;
         let products = match done? {
             Done::Rays(products) => products,
-            Done::Smoothed(band, records) => {
+            Done::Smoothed(bands) => {
                 self.state.smoothing = false;
-                self.put(band, &records)?;
+                for (band, records) in bands {
+                    self.put(band, &records)?;
+                }
                 return Ok(None);
             }
         };

@@ -9,6 +9,7 @@ mod args;
 mod bands;
 mod camera;
 mod caustics;
+mod choice;
 mod daylight;
 mod driver;
 mod film;
@@ -16,6 +17,7 @@ mod gather;
 mod pages;
 mod rooms;
 mod shade;
+mod sight;
 mod smooth;
 
 use std::path::{Path, PathBuf};
@@ -84,13 +86,18 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     for tile in 0..tables.tiles().len() as u32 {
         mesh = mesh.max(reader.peak_bytes(tile)?);
     }
+    let bsp = tables.bsp()?;
     let rooms = RoomReader {
         tables: &tables,
+        bsp: &bsp,
         trace: &trace,
         maps: &maps,
         budget: &budget,
         indirect: args.indirect,
-        most: budget.available().saturating_sub(fixed.all() + mesh),
+        most: budget
+            .available()
+            .saturating_sub(fixed.all() + mesh)
+            .min(args.map_memory.unwrap_or(u64::MAX)),
         threads: common.threads as u64,
     };
     let pictures = outputs(&cli.output, &args.formats, &views)?;
@@ -324,7 +331,7 @@ fn identity(store: &StoreDir, cli: &Cli, views: &[View]) -> Result<Identity> {
 }
 
 /// The film of an earlier, finished run has done its duty once its pictures are written: it makes way for other
-/// views, unless the same picture file would change under the user's hands.
+/// views, unless the same picture file would change under the user's hands. With `force` it makes way for the same views as well.
 fn yield_to_another_picture(
     store: &StoreDir,
     identity: &Identity,
@@ -344,7 +351,7 @@ fn yield_to_another_picture(
         Err(error) => return Err(error.into()),
     };
     let in_the_way = pictures.iter().flatten().any(|p| p.path.exists());
-    if found != *identity && (force || !in_the_way) {
+    if force || (found != *identity && !in_the_way) {
         store.discard_from(StageKind::Render)?;
     }
     Ok(())
@@ -434,10 +441,7 @@ fn render(
                     let ran =
                         std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| match task {
                             Task::Rays(job) => context.run(&job, &mut scratch).map(Done::Rays),
-                            Task::Smooth(smoothing) => {
-                                let (band, records) = smoothing.run(context);
-                                Ok(Done::Smoothed(band, records))
-                            }
+                            Task::Smooth(smoothing) => Ok(Done::Smoothed(smoothing.run(context))),
                         }));
                     drop(span);
                     let result = match ran {

@@ -5,6 +5,7 @@ use enf_layout::journal::LightPairRecord;
 use enf_layout::photon::PhotonRecord;
 use enf_layout::sections::Malformed;
 use enf_layout::segment::ExtentKind;
+use enf_rooms::Bsp;
 use enf_stage::Result;
 use enf_stage::resident::Load;
 use enf_stage::tables::Tables;
@@ -13,7 +14,8 @@ use enf_store::{MemoryBudget, StageReader, StoreError};
 use crate::caustics::Caustics;
 use crate::pages::{Pages, Plan};
 use crate::shade::{MapMemory, RoomLight, RoomMap};
-use crate::{Indirect, daylight};
+use crate::sight::Sights;
+use crate::{Indirect, choice, daylight};
 
 /// Loads rooms.
 #[derive(Clone, Copy)]
@@ -22,6 +24,8 @@ pub(crate) struct RoomReader<'a> {
     /// For the lights that reach a room.
     pub(crate) trace: &'a StageReader,
     pub(crate) maps: &'a StageReader,
+    /// Which room a light is in.
+    pub(crate) bsp: &'a Bsp<'a>,
     pub(crate) budget: &'a MemoryBudget,
     pub(crate) indirect: Indirect,
     /// Bytes that a room's map may take, with the irradiance at its photons; a larger one is in memory in part.
@@ -96,8 +100,16 @@ impl Load for RoomReader<'_> {
     fn load(&self, room: u32) -> std::result::Result<RoomLight, StoreError> {
         let mut lights = self.lights(room)?;
         let sun = daylight::adapt(&mut lights, self.tables, room);
+        let lights = choice::choices(&lights, self.tables);
+        let sights = Sights::new(
+            room,
+            &lights,
+            self.tables.portals_of(room),
+            self.tables.pieces(),
+            self.bsp,
+        );
         if self.indirect == Indirect::None {
-            return Ok(RoomLight { map: None, lights, sun });
+            return Ok(RoomLight { map: None, lights, sights, sun });
         }
         let pieces = self.maps.find(ExtentKind::Map, room);
         let (plan, bytes) = self.plan(room);
@@ -135,6 +147,6 @@ impl Load for RoomReader<'_> {
             }
         };
         let map = RoomMap { map, cache, caustics, _reservation: reservation };
-        Ok(RoomLight { map: Some(map), lights, sun })
+        Ok(RoomLight { map: Some(map), lights, sights, sun })
     }
 }

@@ -34,8 +34,10 @@ use crate::Indirect;
 use crate::bands::{self, Films, Lives};
 use crate::camera::{self, View};
 use crate::caustics::Caustics;
+use crate::choice::{self, Choice};
 use crate::daylight;
 use crate::pages::{Pages, Paging, Share};
+use crate::sight::Sights;
 
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
@@ -56,10 +58,13 @@ const MARK_OUTSIDE: u16 = 8;
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
 
 /// What a room answers with: its photon map, and the lights that it sees.
+#[derive(Default)]
 pub(crate) struct RoomLight {
     pub(crate) map: Option<RoomMap>,
-    /// Ascending light ids, and how much of the room each lights: a factor of its importance.
-    pub(crate) lights: Vec<(u32, f32)>,
+    /// Lights and parts of lights, by ids and ranges.
+    pub(crate) lights: Vec<Choice>,
+    /// What those of them that are in other rooms are seen through.
+    pub(crate) sights: Sights,
     /// Whether the sun shines in: then each point asks for it, beside those.
     pub(crate) sun: bool,
 }
@@ -270,7 +275,8 @@ pub(crate) struct Shader<'a> {
     pub(crate) map: Option<(PhotonMap<'a>, &'a IrradianceCache)>,
     pub(crate) caustics: Option<PhotonMap<'a>>,
     pub(crate) portals: PortalSet<'a>,
-    lights: &'a [(u32, f32)],
+    lights: &'a [Choice],
+    sights: &'a Sights,
     sun: bool,
     films: &'a Films,
     /// Where the map is not whole.
@@ -439,6 +445,7 @@ impl Context<'_> {
             },
             portals: PortalSet::new(self.tables.portals_of(room), self.tables.pieces()),
             lights: &job.light.lights,
+            sights: &job.light.sights,
             sun: job.light.sun,
             films: &job.films,
             paging: share.map(Paging::new),
@@ -660,6 +667,10 @@ impl<'a> Shader<'a> {
             // Light that a gather ray finds where it began is counted elsewhere, see there.
             Flight::Escapes { .. } if record.flags & TRANSIT_GATHER != 0 => return false,
             Flight::Escapes { .. } => {
+                if record.bounce == 0 {
+                    let (film, pixel) = self.film_of(record);
+                    film.add_room(pixel, 0);
+                }
                 if let Some(daylight) = self.context.daylight {
                     let direction = Vec3::from(record.direction);
                     // After a gloss the sun is found by shadow rays, for its disc is hardly ever met.
@@ -711,6 +722,7 @@ impl<'a> Shader<'a> {
             let (film, pixel) = self.film_of(record);
             let albedo = lobes.diffuse.to_array();
             film.add_surface(pixel, albedo, surface.normal.to_array(), hit.t);
+            film.add_room(pixel, self.room + 1);
             if record.photon == 0 {
                 film.set_room(pixel, self.room + 1);
             }
@@ -955,6 +967,17 @@ impl<'a> Shader<'a> {
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
     }
 
+    /// What one of the room's choices, by its place there, counts at a surface when lights are chosen.
+    fn weight(&self, at: usize, surface: &Surface) -> f32 {
+        let choice = &self.lights[at];
+        let importance = self.importance(&choice.part, surface);
+        if importance > 0.0 {
+            importance * self.sights.share(at, choice.share, surface.position)
+        } else {
+            0.0
+        }
+    }
+
     /// Direct light by shadow rays to lights chosen from the room's set by importance, with a small share to all
     /// lights of the scene: every light has a probability, so nothing is biased. Where a gather ray has ended there is one
     /// ray, and none for what gloss reflects.
@@ -984,8 +1007,8 @@ impl<'a> Shader<'a> {
         let all = context.tables.lights();
         scratch.weights.clear();
         let mut total = 0.0f32;
-        for &(id, share) in self.lights {
-            total += share * self.importance(&all[id as usize], surface);
+        for at in 0..self.lights.len() {
+            total += self.weight(at, surface);
             scratch.weights.push(total);
         }
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
@@ -1001,24 +1024,27 @@ impl<'a> Shader<'a> {
                 rng::unit(index.wrapping_mul(KRONECKER[dimension]).wrapping_add(shift))
             };
             let u = [place(0, s[0]), place(1, s[1])];
-            let v = [place(2, t[0]), place(3, t[1]), place(4, t[2])];
-            let chosen = if u[0] >= global {
+            let mut v = [place(2, t[0]), place(3, t[1]), place(4, t[2])];
+            let (chosen, known) = if u[0] >= global {
                 let place = u[1] * total;
                 let at = scratch.weights.partition_point(|&w| w <= place);
-                self.lights[at.min(self.lights.len() - 1)].0
+                let at = at.min(self.lights.len() - 1);
+                v[0] = self.lights[at].of_part(v[0]);
+                (self.lights[at].light, Some(at))
             } else {
                 let place = f64::from(u[1]);
                 let at = context.power.partition_point(|&p| p <= place);
-                at.min(all.len() - 1) as u32
+                let chosen = at.min(all.len() - 1) as u32;
+                (chosen, choice::of(self.lights, chosen, v[0]))
             };
             let light = &all[chosen as usize];
             let mut probability = global * power_of(context.power, chosen as usize);
-            let known = self.lights.binary_search_by_key(&chosen, |l| l.0);
             if total > 0.0
-                && let Ok(at) = known
+                && let Some(at) = known
             {
-                let weight = self.lights[at].1 * self.importance(light, surface);
-                probability += (1.0 - global) * weight / total;
+                // Of a point of the part, beside one of the whole light.
+                let dense = 1.0 / self.lights[at].width();
+                probability += (1.0 - global) * dense * self.weight(at, surface) / total;
             }
             if probability <= 0.0 {
                 continue;
@@ -1047,7 +1073,7 @@ impl<'a> Shader<'a> {
                 None => 1.0,
             };
             let reflected = reflected(sample.direction, &share);
-            let mark = if known.is_err() { MARK_OUTSIDE } else { 0 };
+            let mark = if known.is_none() { MARK_OUTSIDE } else { 0 };
             self.ask(record, surface, reflected, &sample, mark, scratch, products);
         }
         if let (Some(daylight), true) = (context.daylight, self.sun) {

@@ -9,7 +9,7 @@ use enf_stage::{Failure, Result};
 /// What is compared.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
-    /// Pixels that see this room, and no others.
+    /// Pixels that see this room and no other; no others.
     pub mask_room: Option<u32>,
     /// Pixels that are as bright or brighter in either picture, by luminance, are left out: lamps.
     pub below: Option<f32>,
@@ -17,11 +17,22 @@ pub struct Options {
     pub layer: Option<String>,
 }
 
-/// Pixels of one room, or all of them.
+/// Which pixels are taken together.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Pixels {
+    /// All of them.
+    All,
+    /// Those of which all samples see this room, as ours has it.
+    Room(u32),
+    /// Those whose samples see several rooms: nobody can tell how much of a pixel's light is whose.
+    Mixed,
+}
+
+/// Pixels of one room, or others.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Row {
-    /// The room that ours sees there; `None`: all pixels.
-    pub room: Option<u32>,
+    /// Which.
+    pub of: Pixels,
     /// Pixels compared.
     pub pixels: u64,
     /// Mean radiance of ours, W/m2/sr.
@@ -58,7 +69,7 @@ fn ratio(ours: f64, theirs: f64) -> f64 {
 /// What came out.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
-    /// All pixels first, then rooms, ascending.
+    /// All pixels first, then rooms, ascending, then those that see several.
     pub rows: Vec<Row>,
     /// Pixels left out: not finite in one of the pictures.
     pub not_finite: u64,
@@ -94,15 +105,21 @@ pub fn compare(ours: &Loaded, theirs: &Loaded, options: &Options) -> Result<Comp
     };
     let (a, b) = (planes(ours, options.layer.as_deref())?, planes(theirs, None)?);
     let rooms = ours.channel("room.ID");
+    // Pictures of earlier versions do not say.
+    let mixed = ours.channel("room.mixed");
     if options.mask_room.is_some() && rooms.is_none() {
         return Err(Failure::input(format!("{} has no layer of rooms", ours.name))
             .with_hint("--mask-room wants a picture of enf-render"));
     }
     let (mut not_finite, mut bright) = (0, 0);
-    let mut kept: Vec<(Option<u32>, [f32; 3], [f32; 3])> = Vec::with_capacity(a.len());
+    let mut kept: Vec<(Option<Pixels>, [f32; 3], [f32; 3])> = Vec::with_capacity(a.len());
     for (i, (&a, &b)) in a.iter().zip(&b).enumerate() {
-        let room = rooms.and_then(|r| r.get(i)).filter(|&&r| r >= 0.0).map(|&r| r as u32);
-        if options.mask_room.is_some() && room != options.mask_room {
+        let room = rooms.and_then(|r| r.get(i)).filter(|&&r| r >= 0.0);
+        let of = match mixed.and_then(|m| m.get(i)) {
+            Some(&mixed) if mixed > 0.0 => Some(Pixels::Mixed),
+            _ => room.map(|&room| Pixels::Room(room as u32)),
+        };
+        if options.mask_room.is_some() && of != options.mask_room.map(Pixels::Room) {
             continue;
         }
         if !a.iter().chain(&b).all(|v| v.is_finite()) {
@@ -110,7 +127,7 @@ pub fn compare(ours: &Loaded, theirs: &Loaded, options: &Options) -> Result<Comp
         } else if options.below.is_some_and(|most| luminance(a) >= most || luminance(b) >= most) {
             bright += 1;
         } else {
-            kept.push((room, a, b));
+            kept.push((of, a, b));
         }
     }
     if kept.is_empty() {
@@ -120,10 +137,10 @@ pub fn compare(ours: &Loaded, theirs: &Loaded, options: &Options) -> Result<Comp
     let mean = kept.iter().map(|k| f64::from(luminance(k.2))).sum::<f64>() / kept.len() as f64;
     // Two black pictures are equal, and not a division by zero.
     let epsilon = (0.1 * mean * 0.1 * mean).max(f64::MIN_POSITIVE);
-    let mut sums: BTreeMap<Option<u32>, Row> = BTreeMap::new();
-    let mut add = |key, a: [f32; 3], b: [f32; 3]| {
-        let row = sums.entry(key).or_insert(Row {
-            room: key,
+    let mut sums: BTreeMap<Pixels, Row> = BTreeMap::new();
+    let mut add = |of, a: [f32; 3], b: [f32; 3]| {
+        let row = sums.entry(of).or_insert(Row {
+            of,
             pixels: 0,
             ours: [0.0; 3],
             theirs: [0.0; 3],
@@ -137,10 +154,10 @@ pub fn compare(ours: &Loaded, theirs: &Loaded, options: &Options) -> Result<Comp
             row.rel_mse += (a - b) * (a - b) / (b * b + epsilon) / 3.0;
         }
     };
-    for (room, a, b) in kept {
-        add(None, a, b);
-        if room.is_some() {
-            add(room, a, b);
+    for (of, a, b) in kept {
+        add(Pixels::All, a, b);
+        if let Some(of) = of {
+            add(of, a, b);
         }
     }
     let rows = sums.into_values().map(|mut row| {
@@ -157,14 +174,15 @@ pub fn compare(ours: &Loaded, theirs: &Loaded, options: &Options) -> Result<Comp
 pub const LEAST_SHARE: f64 = 0.01;
 
 impl Comparison {
-    /// The largest distance of a ratio from 1 that counts: of all pixels, and of rooms that are not tiny in the picture.
+    /// The largest distance of a ratio from 1 that counts: of all pixels, and of rooms that are not tiny in the picture. (Pixels that
+    /// see several rooms are few, and among all.)
     pub fn off(&self) -> f64 {
         self.rows.iter().filter(|r| self.counts(r)).fold(0.0, |most, r| r.off().max(most))
     }
 
     fn counts(&self, row: &Row) -> bool {
         let all = self.rows.first().map_or(0, |r| r.pixels);
-        row.pixels as f64 >= LEAST_SHARE * all as f64
+        row.of != Pixels::Mixed && row.pixels as f64 >= LEAST_SHARE * all as f64
     }
 
     /// A table for people.
@@ -174,11 +192,19 @@ impl Comparison {
             "room", "pixels", "ours R G B", "theirs R G B", "ratio R G B", "Y", "relMSE"
         );
         for row in &self.rows {
-            let room = row.room.map_or("all".into(), |r| r.to_string());
+            let room = match row.of {
+                Pixels::All => "all".into(),
+                Pixels::Room(room) => room.to_string(),
+                Pixels::Mixed => "several".into(),
+            };
             let [a, b] = [row.ours, row.theirs]
                 .map(|v| format!("{:>8.5} {:>8.5} {:>8.5}", v[0], v[1], v[2]));
             let [r, g, b_] = row.ratios();
-            let few = if self.counts(row) { "" } else { "  (few: not judged)" };
+            let few = match row.of {
+                Pixels::Mixed => "  (see several rooms: in none of them)",
+                _ if self.counts(row) => "",
+                _ => "  (few: not judged)",
+            };
             let _ = writeln!(
                 text,
                 "{room:>8} {:>9}  {a}  {b}  {r:>7.4} {g:>7.4} {b_:>7.4} {:>8.4}  {:>9.3e}{few}",
@@ -224,8 +250,8 @@ mod tests {
         let ours =
             picture(&[[1.1; 3], [0.9; 3], [2.0, 1.5, 1.0], [4.0; 3]], Some(&[0.0, 0.0, 1.0, -1.0]));
         let found = compare(&ours, &theirs, &Options::default()).unwrap();
-        let rooms: Vec<Option<u32>> = found.rows.iter().map(|r| r.room).collect();
-        assert_eq!(rooms, [None, Some(0), Some(1)]);
+        let of: Vec<Pixels> = found.rows.iter().map(|r| r.of).collect();
+        assert_eq!(of, [Pixels::All, Pixels::Room(0), Pixels::Room(1)]);
         let [all, west, east] = &found.rows[..] else { panic!() };
         assert_eq!((all.pixels, west.pixels, east.pixels), (4, 2, 1));
         assert!((west.ratio() - 1.0).abs() < 1e-6);
@@ -244,6 +270,26 @@ mod tests {
         assert!(compare(&theirs, &ours, &only).is_err());
         let layer = Options { layer: Some("direct".into()), ..Options::default() };
         assert!(compare(&ours, &theirs, &layer).unwrap_err().message.contains("direct.R"));
+    }
+
+    /// A pixel that is half of a bright room counts as none's: its room by its first sample is off by chance.
+    #[test]
+    fn pixels_of_several_rooms_are_of_none() {
+        let theirs = picture(&[[1.0; 3], [2.5; 3], [4.0; 3]], None);
+        let mut ours = picture(&[[1.0; 3], [3.0; 3], [4.0; 3]], Some(&[0.0, 0.0, 1.0]));
+        assert_eq!(compare(&ours, &theirs, &Options::default()).unwrap().rows[1].pixels, 2);
+        ours.channels.insert("room.mixed".into(), vec![0.0, 1.0, 0.0]);
+        let found = compare(&ours, &theirs, &Options::default()).unwrap();
+        let [all, dark, bright, several] = &found.rows[..] else { panic!("{found:?}") };
+        assert_eq!((all.of, all.pixels), (Pixels::All, 3));
+        assert_eq!((dark.pixels, dark.ratio(), bright.pixels, bright.ratio()), (1, 1.0, 1, 1.0));
+        assert_eq!((several.of, several.pixels), (Pixels::Mixed, 1));
+        assert!((several.ratio() - 1.2).abs() < 1e-6);
+        // It is judged among all: 8 of 7.5.
+        assert!((found.off() - 0.5 / 7.5).abs() < 1e-6);
+        assert!(found.table().contains("several"));
+        let only = Options { mask_room: Some(0), ..Options::default() };
+        assert_eq!(compare(&ours, &theirs, &only).unwrap().rows[0].pixels, 1);
     }
 
     #[test]

@@ -69,7 +69,7 @@ struct Compare {
     /// Theirs, the reference: any linear RGB picture
     #[arg(value_name = "THEIRS.exr")]
     theirs: PathBuf,
-    /// Only pixels that see this room
+    /// Only pixels that see this room and no other
     #[arg(long, value_name = "N")]
     mask_room: Option<u32>,
     /// Only pixels darker than this in both, W/m2/sr by luminance: without lamps
