@@ -1,8 +1,9 @@
 #!/usr/bin/env bash
 # The same photons, whatever happens: the L-Shape (337,262 triangles, 24 lights) traced with other threads, budgets, rooms, tiles,
-# queues and processes, and in runs that are killed at random moments and begun again.
+# queues and processes, and in runs that are killed at random moments and begun again. And the same pictures: its views, a plan and a
+# panorama, seen directly and by final gathering, with other threads, budgets, tiles and queues.
 #
-#   benches/same.sh [KILLED RUNS, 100] [PHOTONS A LIGHT, 5k]
+#   benches/same.sh [KILLED RUNS, 100] [PHOTONS A LIGHT, 5k] [WIDTH OF PICTURES, 320]
 #
 # Prints each digest and exits with 1 at the first that differs. BIN is a folder of binaries that are built already. SEED (1) decides
 # when runs are killed.
@@ -10,6 +11,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 runs=${1:-100}
 photons=${2:-5k}
+width=${3:-320}
 bin=${BIN:-$PWD/target/release}
 [ -n "${BIN:-}" ] || cargo build --release --quiet
 folder=$(mktemp -d)
@@ -37,7 +39,8 @@ check() { # what was done
 
 prepared
 for threads in 1 2 4; do
-    trace --threads $threads --force && check "$threads threads"
+    prepared
+    trace --threads $threads && check "$threads threads"
 done
 for memory in 64M 128M 380M 1G 4G; do
     prepared --memory $memory
@@ -55,6 +58,31 @@ for share in 0/2 1/2; do
 done
 wait
 check "60 random tiles, two processes"
+
+prepared
+trace
+"$bin/enf-kdtree" l.enf --quiet </dev/null >/dev/null
+seen=
+pictures() { # what is done, flags of the renderer
+    local what=$1 digest
+    shift
+    rm -rf pictures
+    "$bin/enf-render" l.enf --view all --view plan:0 --view panorama:0 --width "$width" --formats exr,png --force --quiet \
+        -o pictures "$@" </dev/null >/dev/null
+    digest=$(cd pictures && sha256sum * | sha256sum | cut -c1-32)
+    [ -n "$seen" ] || seen=$digest
+    printf '%s  pictures, %s\n' "$digest" "$what"
+    [ "$digest" = "$seen" ] || { echo "$0: those are others" >&2 && exit 1; }
+}
+for indirect in photon-map final-gather; do
+    seen=
+    for memory in 64M 380M 4G; do
+        for threads in 1 2; do
+            pictures "$indirect, --memory $memory, $threads threads" --indirect $indirect --memory $memory --threads $threads
+        done
+    done
+    pictures "$indirect, small queues, one tile at a time" --indirect $indirect --queue-rows 4 --queue-block 500 --resident-rooms 1
+done
 
 prepared
 cp -r l.enf clean.enf

@@ -27,6 +27,9 @@ pub struct KdtreeArgs {
     /// Largest radius that irradiance will be gathered from, and width of the halo, m
     #[arg(long, value_name = "METRES", default_value_t = 0.6, value_parser = parse_radius)]
     pub gather_radius: f32,
+    /// Leave the neighbours' photons out, as the paper did: to see the seams that doorways have then
+    #[arg(long)]
+    pub no_halo: bool,
     /// Photons of a map's piece at most. For tests: another number makes other bytes, and the same light
     #[arg(long, value_name = "N", default_value_t = PIECE_PHOTONS as u32, hide = true,
         value_parser = clap::value_parser!(u32).range(1..=PIECE_PHOTONS as i64))]
@@ -85,6 +88,9 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
 
     let mut identity = session::inherit(&store, StageKind::Trace)?;
     identity.push("gather-radius", cli.kdtree.gather_radius);
+    if cli.kdtree.no_halo {
+        identity.push("halo", "none");
+    }
     if cli.kdtree.most() != PIECE_PHOTONS {
         identity.push("piece-photons", cli.kdtree.piece_photons);
     }
@@ -136,7 +142,8 @@ fn build(
     let progress = Progress::new(common, "photon maps", Some(total), "photons");
     let names: Vec<_> = (0..at_once).map(|t| format!("kdtree {t}")).collect();
     let timeline = &session.timeline;
-    let source = Source { tables, photons, budget: &budget, radius, most };
+    let halo = !cli.kdtree.no_halo;
+    let source = Source { tables, photons, budget: &budget, radius, halo, most };
     let mut announcer = Announcer::new(rooms, out);
     let (mut sum, mut halo_sum, mut done) = (0, 0, 0);
     let mut finished = made;
@@ -203,6 +210,8 @@ struct Source<'a> {
     budget: &'a MemoryBudget,
     /// Width of the halo, m.
     radius: f32,
+    /// Whether there is one.
+    halo: bool,
     /// Photons of a piece.
     most: usize,
 }
@@ -211,7 +220,7 @@ impl Source<'_> {
     /// Every photon of a room's map: its own indirect ones, and its neighbours' within reach of a shared portal.
     fn each(&self, room: u32, each: &mut dyn FnMut(&PhotonRecord) -> Result<()>) -> Result<()> {
         collect(self.photons, self.budget, room, each)?;
-        let portals = self.tables.portals_of(room);
+        let portals = if self.halo { self.tables.portals_of(room) } else { &[] };
         for group in portals.chunk_by(|a, b| a.other == b.other) {
             let halo = Halo::new(&PortalSet::new(group, self.tables.pieces()), self.radius);
             collect(self.photons, self.budget, group[0].other, &mut |photon| {
