@@ -468,7 +468,7 @@ fn render(
             rows: RowTable::new(rows, block),
             capacity: rows as u64 * block as u64,
             scheduler: Scheduler::new(cli.queue.schedule, tables.tiles().len() as u32),
-            neighbours: Neighbours::new(tables, &context.bsp),
+            neighbours: Neighbours::new(tables),
             lane: timeline.lane("schedule"),
             state: Default::default(),
         };

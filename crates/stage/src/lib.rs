@@ -27,6 +27,7 @@ pub mod scheduler;
 pub mod session;
 pub mod stats;
 pub mod store;
+pub mod sweep;
 pub mod tables;
 pub mod timeline;
 
@@ -42,4 +43,5 @@ pub use rowtable::RowTable;
 pub use scheduler::{Schedule, Scheduler};
 pub use stats::Stats;
 pub use store::memory_budget;
+pub use sweep::Sweep;
 pub use timeline::{Lane, Span, Timeline};

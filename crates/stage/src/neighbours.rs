@@ -1,8 +1,6 @@
 //! Which tiles light can pass between without entering a third one.
 
-use enf_layout::room::PIECE_CORNERS;
-use enf_rooms::Bsp;
-use glam::DVec3;
+use enf_layout::room::{PIECE_CORNERS, PortalPieceRecord, RoomRecord};
 
 use crate::tables::Tables;
 
@@ -18,45 +16,49 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Finds the tiles on both sides of every portal, and those pieces of one room whose bounds touch.
-    pub fn new(tables: &Tables, bsp: &Bsp<'_>) -> Self {
+    /// Finds the tiles on both sides of every portal, and those pieces of one room whose bounds touch. A portal says which rooms it
+    /// joins; of a room in pieces, those count whose bounds the portal touches.
+    pub fn new(tables: &Tables) -> Self {
         let tiles = tables.tiles();
-        let mut pairs = Vec::new();
-        let mut pair = |a: u32, b: u32| {
-            if a != b {
-                pairs.extend([(a, b), (b, a)]);
-            }
-        };
-        for piece in tables.pieces() {
-            let corner = |i: usize| {
-                let corner = piece.corners[i % PIECE_CORNERS];
-                DVec3::from_array(corner.map(f64::from))
-            };
-            let count = (piece.count as usize).clamp(1, PIECE_CORNERS);
-            let centre = (0..count).map(corner).sum::<DVec3>() / count as f64;
-            let normal = (0..count)
-                .map(|i| (corner(i) - centre).cross(corner((i + 1) % count) - centre))
-                .sum::<DVec3>();
-            let tile = |towards| bsp.leaves[bsp.locate_towards(centre, towards) as usize].tile;
-            pair(tile(normal), tile(-normal));
-        }
         let slack = tables.scene.delta;
+        let mut pairs = Pairs::default();
+        let of = |room: &RoomRecord| room.first_tile..room.first_tile + room.tile_count;
+        for (a, room) in (0u32..).zip(tables.rooms()) {
+            for portal in tables.portals_of(a) {
+                let Some(other) = tables.rooms().get(portal.other as usize) else { continue };
+                if room.tile_count == 1 && other.tile_count == 1 {
+                    pairs.add(room.first_tile, other.first_tile);
+                    continue;
+                }
+                let pieces = portal.first_piece..portal.first_piece + portal.piece_count;
+                let pieces = tables.pieces().get(pieces.start as usize..pieces.end as usize);
+                for (min, max) in pieces.unwrap_or(&[]).iter().filter_map(|p| bounds(p)) {
+                    let at = |tile: &u32| {
+                        let tile = &tiles[*tile as usize];
+                        (0..3)
+                            .all(|k| min[k] <= tile.max[k] + slack && tile.min[k] <= max[k] + slack)
+                    };
+                    for a in of(room).filter(at) {
+                        of(other).filter(at).for_each(|b| pairs.add(a, b));
+                    }
+                }
+            }
+        }
         let touch = |a: u32, b: u32| {
             let (a, b) = (&tiles[a as usize], &tiles[b as usize]);
             (0..3).all(|k| a.min[k] <= b.max[k] + slack && b.min[k] <= a.max[k] + slack)
         };
         for room in tables.rooms() {
-            let of_room = room.first_tile..room.first_tile + room.tile_count;
-            let mut from_left: Vec<u32> = of_room.collect();
+            let mut from_left: Vec<u32> = of(room).collect();
             let left = |tile: &u32| tiles[*tile as usize].min[0];
             from_left.sort_by(|a, b| left(a).total_cmp(&left(b)));
             for (i, &a) in from_left.iter().enumerate() {
                 let end = tiles[a as usize].max[0] + slack;
                 let near = from_left[i + 1..].iter().take_while(|b| left(b) <= end);
-                near.filter(|&&b| touch(a, b)).for_each(|&b| pair(a, b));
+                near.filter(|&&b| touch(a, b)).for_each(|&b| pairs.add(a, b));
             }
         }
-        Self::from_pairs(tiles.len(), pairs)
+        Self::from_pairs(tiles.len(), pairs.list)
     }
 
     pub(crate) fn from_pairs(tiles: usize, mut pairs: Vec<(u32, u32)>) -> Self {
@@ -74,6 +76,11 @@ impl Neighbours {
         neighbours
     }
 
+    /// How many tiles there are.
+    pub fn tiles(&self) -> usize {
+        self.first.len() - 1
+    }
+
     /// The neighbours of a tile; none for one that has too many to mean anything.
     pub fn of(&self, tile: u32) -> &[u32] {
         let tile = tile as usize;
@@ -89,6 +96,38 @@ impl Neighbours {
         let pairs = 2 * tables.pieces().len() as u64 + 32 * tables.tiles().len() as u64;
         pairs * 12 + tables.tiles().len() as u64 * 4
     }
+}
+
+/// Pairs of tiles, both ways round; what is there more than once is thrown out now and then.
+#[derive(Default)]
+struct Pairs {
+    list: Vec<(u32, u32)>,
+    /// When the list is this long, it is looked through again.
+    full: usize,
+}
+
+impl Pairs {
+    fn add(&mut self, a: u32, b: u32) {
+        if a == b {
+            return;
+        }
+        self.list.extend([(a, b), (b, a)]);
+        if self.list.len() >= self.full {
+            self.list.sort_unstable();
+            self.list.dedup();
+            self.full = (2 * self.list.len()).max(4096);
+        }
+    }
+}
+
+/// The box around a piece of a portal.
+fn bounds(piece: &PortalPieceRecord) -> Option<([f32; 3], [f32; 3])> {
+    let corners = &piece.corners[..(piece.count as usize).min(PIECE_CORNERS)];
+    let first = *corners.first()?;
+    Some(corners.iter().fold((first, first), |(min, max), corner| {
+        let (lower, upper) = (|k: usize| min[k].min(corner[k]), |k: usize| max[k].max(corner[k]));
+        ([0, 1, 2].map(lower), [0, 1, 2].map(upper))
+    }))
 }
 
 #[cfg(test)]

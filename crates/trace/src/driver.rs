@@ -11,7 +11,7 @@ use std::vec::IntoIter;
 use crossbeam::channel::{Receiver, Sender, bounded, select};
 use enf_stage::resident::{TileCache, TileData};
 use enf_stage::{
-    CommonArgs, Failure, Lane, Neighbours, Progress, Result, Scheduler, interrupt, say,
+    CommonArgs, Failure, Lane, Neighbours, Progress, Result, Scheduler, Sweep, interrupt, say,
 };
 use enf_store::{Buffer, Extent, StoreError};
 
@@ -88,7 +88,7 @@ pub(crate) struct Driver<'a> {
     manner: Manner,
     cursors: BTreeMap<u32, u64>,
     scheduler: Scheduler,
-    neighbours: Neighbours,
+    sweep: Sweep,
     lane: Lane,
     visits: BTreeMap<u32, Visit>,
     /// Visits that have something to hand out, the oldest first.
@@ -125,7 +125,7 @@ impl<'a> Driver<'a> {
             manner,
             cursors,
             scheduler,
-            neighbours: Neighbours::new(context.tables, &context.bsp),
+            sweep: Sweep::new(context.tables, &Neighbours::new(context.tables)),
             lane,
             visits: BTreeMap::new(),
             open: VecDeque::new(),
@@ -183,10 +183,7 @@ impl<'a> Driver<'a> {
                     }
                 }
                 if self.cache.in_flight() == 0 {
-                    let excluded = |_| false;
-                    let next =
-                        self.scheduler.next_load(self.cache.recent(), &self.neighbours, &excluded);
-                    match next {
+                    match self.scheduler.next_of_sweep(&self.sweep, &|_| false) {
                         // It did not fit beside what is kept in memory.
                         Some(tile) => drop(self.cache.get(tile)?),
                         None if self.manner.share.of == 1 || self.wait_for_others()? => {
@@ -415,7 +412,7 @@ impl<'a> Driver<'a> {
             let excluded = |tile: u32| {
                 cache.is_resident(tile) || cache.is_in_flight(tile) || visits.contains_key(&tile)
             };
-            let next = scheduler.next_load(cache.recent(), &self.neighbours, &excluded);
+            let next = scheduler.next_of_sweep(&self.sweep, &excluded);
             let Some(tile) = next else { return Ok(()) };
             if !self.cache.ask(tile, &|t| !stays(t))? {
                 return Ok(());

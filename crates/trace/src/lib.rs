@@ -27,7 +27,7 @@ use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, Neighbours, Result, RowTable, Schedule, Scheduler,
-    Selection, parse_count, say,
+    Selection, Sweep, parse_count, say,
 };
 use enf_store::{
     Identity, MemoryBudget, Peer, Reservation, StageReader, StageWriter, StoreDir, StoreError,
@@ -286,7 +286,7 @@ fn trace(
     let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
 
     let (daylight, _daylight) = daylight(tables, &budget)?;
-    let neighbours = Neighbours::bytes(tables);
+    let neighbours = Neighbours::bytes(tables) + Sweep::bytes(tables);
     let _neighbours = budget.reserve(neighbours, "neighbours of tiles")?;
     let aimed = if daylight.is_some() { Group::SIZE * MOST_AIMED } else { 0 };
     let aimed = aimed * size_of::<TransitRecord>() * common.threads;
