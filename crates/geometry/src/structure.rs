@@ -4,7 +4,7 @@ use enf_layout::sections::Malformed;
 
 use glam::Vec3;
 
-use crate::bvh::{self, BvhView};
+use crate::bvh::{self, BvhView, Instructions};
 use crate::grid::{self, GridView};
 use crate::mesh::TileMesh;
 use crate::query::Query;
@@ -109,13 +109,23 @@ impl<'a> Structure<'a> {
 
     /// [`Structure::nearest`] of many queries at once, for as many answers: the same, sooner.
     pub fn nearest_batch(&self, queries: &[Query], answers: &mut [Option<Hit>]) {
+        self.nearest_batch_with(Instructions::best(), queries, answers);
+    }
+
+    /// The same, with no more than these instructions.
+    pub fn nearest_batch_with(
+        &self,
+        instructions: Instructions,
+        queries: &[Query],
+        answers: &mut [Option<Hit>],
+    ) {
         match self {
             Self::Grid(grid) => {
                 for (query, answer) in queries.iter().zip(answers) {
                     *answer = grid.nearest(query);
                 }
             }
-            Self::Bvh(bvh) => bvh.nearest_batch(queries, answers),
+            Self::Bvh(bvh) => bvh.nearest_batch_with(instructions, queries, answers),
         }
     }
 

@@ -88,15 +88,20 @@ impl MapBlock {
     ///
     /// # Panics
     /// If `i` is 16 or more.
+    #[inline]
     pub fn set(&mut self, i: usize, photon: &PhotonRecord) {
         let [d0, d1, d2, n0, n1, n2] = photon.directions;
         let [low, high] = photon.flags.to_le_bytes();
+        let codes = u64::from_le_bytes([d0, d1, d2, n0, n1, n2, low, high]);
         for (axis, &bits) in self.position_bits.iter_mut().zip(&photon.position_bits) {
             axis[i] = bits;
         }
         self.flux[i] = photon.flux;
-        self.direction_flags[i] = u32::from_le_bytes([d0, d1, d2, low]);
-        self.normal_flags[i] = u32::from_le_bytes([n0, n1, n2, high]);
+        let code = |from: u32, flags: u32| {
+            (codes >> from) as u32 & 0xff_ffff | (codes >> flags << 24) as u32
+        };
+        self.direction_flags[i] = code(0, 48);
+        self.normal_flags[i] = code(24, 56);
     }
 }
 

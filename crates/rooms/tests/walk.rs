@@ -186,6 +186,11 @@ fn shortcuts(bsp: &Bsp<'_>, cells: &mut Cells, o: DVec3, d: DVec3) -> usize {
             let (point, direction) = (p, d);
             let held = Held { cells, bsp, leaf, point, direction, t };
             assert_eq!(Arch::new().dispatch(held), both, "{p} along {d} to {t}");
+            #[cfg(target_arch = "x86_64")]
+            if let Some(avx2) = pulp::x86::V3::try_new() {
+                let held = Held { cells, bsp, leaf, point, direction, t };
+                assert_eq!(Simd::vectorize(avx2, held), both, "{p} along {d} to {t}");
+            }
             let held = Held { cells, bsp, leaf, point, direction, t };
             assert_eq!(held.with_simd(Scalar), both, "{p} along {d} to {t}");
         }

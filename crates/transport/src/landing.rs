@@ -6,14 +6,29 @@
 // Indices say which lane, in every array of a loop.
 #![allow(clippy::needless_range_loop)]
 
+use enf_geometry::Instructions;
 use enf_layout::{octahedral, rgbe};
 use glam::Vec3;
-use pulp::NullaryFnOnce;
+use pulp::{Arch, NullaryFnOnce};
 
 use crate::flight::Surface;
 use crate::rng::{self, Purpose};
 use crate::scatter::{Event, MAX_SURVIVAL};
 use crate::vector;
+
+/// What these instructions, or the best lesser ones that there are, are called by `pulp`.
+pub(crate) fn arch(instructions: Instructions) -> Arch {
+    #[cfg(target_arch = "x86_64")]
+    if instructions == Instructions::Avx2
+        && let Some(level) = pulp::x86::V3::try_new()
+    {
+        return Arch::V3(level);
+    }
+    match instructions {
+        Instructions::Avx512 => Arch::new(),
+        _ => Arch::Scalar,
+    }
+}
 
 /// Photons that are worked at together.
 pub(crate) const LANES: usize = 32;
@@ -131,7 +146,7 @@ impl Landing {
     }
 
     /// Finds everything: for `seed` and a ray's lift off its surface (m).
-    pub(crate) fn find(&mut self, arch: pulp::Arch, seed: u64, lift: f32) {
+    pub(crate) fn find(&mut self, arch: Arch, seed: u64, lift: f32) {
         arch.dispatch(Find { landing: self, seed, lift });
     }
 
@@ -384,7 +399,6 @@ fn fluxes(l: &mut Landing) {
 mod tests {
     use super::*;
     use crate::scatter::{self, Lobes};
-    use pulp::{Arch, Scalar, WithSimd};
 
     const SEED: u64 = 7;
     const LIFT: f32 = 1e-5;
@@ -429,9 +443,11 @@ mod tests {
             for (lane, asked) in all.iter().enumerate() {
                 landing.ask(lane, asked);
             }
-            let mut plain = landing.clone();
-            landing.find(Arch::new(), SEED, LIFT);
-            Find { landing: &mut plain, seed: SEED, lift: LIFT }.with_simd(Scalar);
+            let found = Instructions::ALL.map(|instructions| {
+                let mut landing = landing.clone();
+                landing.find(arch(instructions), SEED, LIFT);
+                landing
+            });
             for (lane, asked) in all.iter().enumerate() {
                 let (at, direction) = ([asked.u, asked.v], asked.direction);
                 let at = Surface::at(asked.corners, at, direction, LIFT);
@@ -449,7 +465,7 @@ mod tests {
                 }
                 let flux = rgbe::encode(asked.flux.to_array(), [d[0], d[1], d[2]]);
                 let codes = [direction, normal].map(|v| octahedral::encode(v.to_array()));
-                for found in [&landing, &plain] {
+                for found in &found {
                     let here = found.surface(lane);
                     assert_eq!(format!("{here:?}"), format!("{surface:?}"));
                     assert_eq!(found.uniforms(lane), u);

@@ -2,7 +2,7 @@
 //! and is parked when it leaves the tile.
 
 use arrayvec::ArrayVec;
-use enf_geometry::{Hit, Query};
+use enf_geometry::{Hit, Instructions, Query};
 use enf_layout::photon::{PHOTON_BACK_SIDE, PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::rgbe;
 use enf_layout::transit::{
@@ -14,7 +14,7 @@ use glam::Vec3;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::flight::{self, Flight, Resident, Surface};
-use crate::landing::{Asked, LANES, Landing};
+use crate::landing::{self, Asked, LANES, Landing};
 use crate::scatter::{self, Event, Lobes};
 
 /// Receives what photons do (the *deposit* and *cross* seams).
@@ -59,7 +59,6 @@ pub struct Taken {
 }
 
 /// Photons that are traced together, and what is asked of them: room for the caller to keep.
-#[derive(Default)]
 pub struct Group {
     records: Vec<TransitRecord>,
     queries: Vec<Query>,
@@ -72,9 +71,34 @@ pub struct Group {
     cells: Cells,
     landing: Box<Landing>,
     lobes: Vec<Lobes>,
+    instructions: Instructions,
+    arch: Arch,
+}
+
+impl Default for Group {
+    fn default() -> Self {
+        Self::with_instructions(Instructions::best())
+    }
 }
 
 impl Group {
+    /// A group that is traced with no more than these instructions. What is found does not depend on them.
+    pub fn with_instructions(instructions: Instructions) -> Self {
+        Self {
+            records: Vec::new(),
+            queries: Vec::new(),
+            hits: Vec::new(),
+            onward: Vec::new(),
+            landed: Vec::new(),
+            others: Vec::new(),
+            cells: Cells::default(),
+            landing: Box::default(),
+            lobes: Vec::new(),
+            instructions,
+            arch: landing::arch(instructions),
+        }
+    }
+
     /// How many photons are under way together: enough to keep a batch of rays busy, few enough for the caches.
     pub const SIZE: usize = 1024;
     /// Bytes of a group.
@@ -101,10 +125,10 @@ pub fn trace_all<S: Sink>(
     sink: &mut S,
     mut next: impl FnMut(&mut S) -> Option<TransitRecord>,
 ) {
-    let arch = Arch::new();
     group.records.clear();
     group.cells.clear();
     loop {
+        let (arch, instructions) = (group.arch, group.instructions);
         let Group { records, queries, hits, onward, landed, others, cells, .. } = group;
         // Asked again after the last one: a sink may have made more meanwhile.
         while records.len() < Group::SIZE
@@ -119,7 +143,7 @@ pub fn trace_all<S: Sink>(
         queries.extend(records.iter().map(|record| flight::query(record, f32::INFINITY)));
         hits.clear();
         hits.resize(queries.len(), None);
-        tile.structure.nearest_batch(queries, hits);
+        tile.structure.nearest_batch_with(instructions, queries, hits);
 
         onward.clear();
         onward.resize(records.len(), false);

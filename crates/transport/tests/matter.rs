@@ -3,7 +3,7 @@
 //! Seeds are fixed, so that no test is flaky. Bounds are at least 4 standard deviations: after a change of the random
 //! numbers a sound program fails one of the comparisons with a probability below 1e-4 each.
 
-use enf_geometry::{Structure, StructureKind, TileMesh};
+use enf_geometry::{Instructions, Structure, StructureKind, TileMesh};
 use enf_layout::material::{MATERIAL_GLOSS, MATERIAL_SEE_THROUGH, MATERIAL_SOLID, MaterialRecord};
 use enf_layout::photon::{PHOTON_CAUSTIC, PHOTON_DIRECT, PhotonRecord};
 use enf_layout::transit::{TRANSIT_UNSCATTERED, TransitRecord};
@@ -14,6 +14,7 @@ use enf_transport::photon::{Group, Sink, trace_all};
 use enf_transport::rng::{self, Purpose};
 use enf_transport::vector;
 use glam::Vec3;
+use zerocopy::IntoBytes;
 
 type Triangle = [[f32; 3]; 3];
 
@@ -102,6 +103,15 @@ impl World {
 
     /// Traces photons that `start` gives (origin, direction, triangle), 1 W each.
     fn trace(&self, count: u32, start: impl Fn(u32) -> (Vec3, Vec3, u32)) -> Found {
+        self.trace_in(Group::default(), count, start)
+    }
+
+    fn trace_in(
+        &self,
+        mut group: Group,
+        count: u32,
+        start: impl Fn(u32) -> (Vec3, Vec3, u32),
+    ) -> Found {
         let t = &self.tables;
         let bsp = Bsp::new(&t.planes, &t.nodes, &t.leaves, &t.faces, f64::from(self.delta))
             .expect("a tree");
@@ -119,7 +129,7 @@ impl World {
         };
         let mut found = Found::default();
         let mut next = 0;
-        trace_all(&resident, 5, &mut Group::default(), &mut found, |_| {
+        trace_all(&resident, 5, &mut group, &mut found, |_| {
             (next < count).then(|| {
                 let (origin, direction, triangle) = start(next);
                 next += 1;
@@ -298,6 +308,51 @@ fn furnace_with_a_glossy_thing() {
             // 32,000 impacts and more of varied flux.
             assert!((thing - 1.0).abs() < 0.03 + lost, "{place}");
         }
+    }
+}
+
+/// Everything a photon does, over walls of many leaves, with each set of instructions that the machine has: the same impacts,
+/// bit for bit, and the same that is absorbed.
+#[test]
+fn photons_do_not_depend_on_instructions() {
+    let mut model = Model::default();
+    model.cuboid([-1.0; 3], [1.0; 3], true, 0);
+    // Walls that reach through half of the room, so that there are several leaves.
+    model.cuboid([-0.02, -1.0, -1.0], [0.02, 0.2, 1.0], false, 1);
+    model.cuboid([0.02, 0.18, -1.0], [0.6, 0.2, 0.5], false, 2);
+    model.sphere(Vec3::new(-0.5, 0.5, -0.4), 0.3, 3, 3);
+    model.cuboid([0.3, -0.8, -1.0], [0.7, -0.4, -0.3], false, 4);
+    let matter = |diffuse| MaterialRecord { diffuse, ..MaterialRecord::BLACK };
+    let gloss = MaterialRecord {
+        specular: [0.3; 3],
+        roughness: 0.2,
+        flags: MATERIAL_GLOSS,
+        ..matter([0.5, 0.4, 0.2])
+    };
+    let mirror = MaterialRecord { specular: [0.8, 0.9, 0.7], ..MaterialRecord::BLACK };
+    let materials =
+        vec![matter([0.8, 0.7, 0.6]), matter([0.9, 0.1, 0.5]), gloss, glass(1.5, 1.0), mirror];
+    let world = World::new(&model, materials);
+    let count = 20_000;
+    let mut first: Option<Found> = None;
+    for instructions in Instructions::ALL.into_iter().filter(|level| level.available()) {
+        let mut found = world.trace_in(Group::with_instructions(instructions), count, |photon| {
+            let u = rng::uniforms(9, Purpose::Emission, 0, photon, 0, 0);
+            (Vec3::new(0.9, -0.9, 0.9), vector::sphere(u[0], u[1]), NONE)
+        });
+        let bytes = |p: &PhotonRecord| <[u8; 24]>::try_from(p.as_bytes()).expect("24 bytes");
+        found.impacts.sort_unstable_by_key(bytes);
+        assert!(found.impacts.len() > 2 * count as usize, "{}", found.impacts.len());
+        let Some(first) = &first else {
+            first = Some(found);
+            continue;
+        };
+        assert_eq!(found.impacts.len(), first.impacts.len(), "{instructions:?}");
+        let mut pairs = found.impacts.iter().zip(&first.impacts);
+        assert!(pairs.all(|(a, b)| a.as_bytes() == b.as_bytes()), "{instructions:?}");
+        assert_eq!(found.ended, first.ended);
+        // A sum in another order of arrival may round differently.
+        assert!((found.absorbed / first.absorbed - 1.0).abs() < 1e-12, "{instructions:?}");
     }
 }
 

@@ -56,7 +56,7 @@ impl Instructions {
 
     /// The best that there are.
     #[inline(always)]
-    pub(super) fn best() -> Self {
+    pub fn best() -> Self {
         Self::Avx512
     }
 

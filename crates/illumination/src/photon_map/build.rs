@@ -13,16 +13,11 @@ use enf_layout::map::*;
 use enf_layout::photon::{PHOTON_HALO, PhotonRecord};
 use zerocopy::{FromBytes, IntoBytes};
 
+use super::chunk::{Bench, CHUNK, CHUNK_BLOCKS, CHUNK_NODES, Chunk};
 use super::lanes::{Instructions, Level, Task};
 use super::map::open_blob;
 use super::order::canonical_cmp;
 
-/// Photons of a chunk.
-const CHUNK: usize = 1024;
-/// Blocks of a chunk.
-const CHUNK_BLOCKS: usize = CHUNK / BLOCK_PHOTONS;
-/// Nodes about the blocks of a chunk.
-const CHUNK_NODES: usize = CHUNK_BLOCKS / NODE_CHILDREN;
 /// Times that the box about all is halved: the cells are 2 to this power.
 const HALVINGS: u32 = 12;
 
@@ -45,8 +40,20 @@ pub fn build_map(
     photons: &[PhotonRecord],
     blob: &mut [u8],
     radius: f32,
+    piece: [u32; 2],
+    threads: usize,
+) {
+    build_with(photons, blob, radius, piece, threads, Instructions::default());
+}
+
+/// [`build_map`], with no more than these instructions.
+fn build_with(
+    photons: &[PhotonRecord],
+    blob: &mut [u8],
+    radius: f32,
     [piece, pieces]: [u32; 2],
     threads: usize,
+    instructions: Instructions,
 ) {
     assert_eq!(blob.len(), super::blob_bytes(photons.len()), "a blob of another length");
     let halo = photons.iter().filter(|p| p.flags & PHOTON_HALO != 0).count();
@@ -62,10 +69,10 @@ pub fn build_map(
     let (blocks, nodes) = opened.expect("the blob was just laid out, aligned as its records are");
     let records = <[PhotonRecord]>::mut_from_bytes(blocks.as_mut_bytes());
     let records = records.expect("a block has the size of its photons");
-    spread(photons, &mut records[..photons.len()]);
+    spread(photons, &mut records[..photons.len()], instructions);
     let lowest = blocks.len().div_ceil(NODE_CHILDREN);
     let (lowest, upper) = nodes.split_at_mut(lowest);
-    finish_chunks(blocks, lowest, photons.len(), threads);
+    finish_chunks(blocks, lowest, photons.len(), threads, instructions);
     let mut below: &[MapNode] = lowest;
     let mut rest = upper;
     while below.len() > 1 {
@@ -79,36 +86,68 @@ pub fn build_map(
 }
 
 /// Copies photons so that those of each chunk lie together.
-fn spread(photons: &[PhotonRecord], out: &mut [PhotonRecord]) {
+fn spread(photons: &[PhotonRecord], out: &mut [PhotonRecord], instructions: Instructions) {
     if photons.len() <= CHUNK {
         out.copy_from_slice(photons);
         return;
     }
-    let grid = Grid::new(Instructions::default().run(BoundsOf(photons)));
+    let grid = Grid::new(instructions.run(BoundsOf(photons)));
     let mut ends = vec![0u32; 1 << HALVINGS];
-    for p in photons {
-        ends[grid.cell(p)] += 1;
-    }
-    let mut sum = 0;
-    for end in &mut ends {
-        (*end, sum) = (sum, sum + *end);
-    }
-    // Now where each cell begins; afterwards where it ends.
-    for p in photons {
-        let cell = grid.cell(p);
-        out[ends[cell] as usize] = *p;
-        ends[cell] += 1;
-    }
+    instructions.run(Spread { photons, grid: &grid, ends: &mut ends, out });
     let mut start = 0;
     for &end in &ends {
         let end = end as usize;
-        cut(&mut out[start..end], start);
+        cut(&mut out[start..end], start, instructions);
         start = end;
     }
 }
 
+/// Copies photons to their cells.
+struct Spread<'a> {
+    photons: &'a [PhotonRecord],
+    grid: &'a Grid,
+    /// Zero; afterwards where each cell ends.
+    ends: &'a mut [u32],
+    out: &'a mut [PhotonRecord],
+}
+
+impl Task for Spread<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with<L: Level>(self, _: L) {
+        let Self { photons, grid, ends, out } = self;
+        let (sixteens, rest) = photons.as_chunks::<BLOCK_PHOTONS>();
+        for photons in sixteens {
+            for cell in grid.cells(photons) {
+                ends[cell] += 1;
+            }
+        }
+        for p in rest {
+            ends[grid.cells(&[*p; BLOCK_PHOTONS])[0]] += 1;
+        }
+        let mut sum = 0;
+        for end in &mut *ends {
+            (*end, sum) = (sum, sum + *end);
+        }
+        // Now where each cell begins.
+        let mut put = |p: &PhotonRecord, cell: usize| {
+            out[ends[cell] as usize] = *p;
+            ends[cell] += 1;
+        };
+        for photons in sixteens {
+            for (p, cell) in photons.iter().zip(grid.cells(photons)) {
+                put(p, cell);
+            }
+        }
+        for p in rest {
+            put(p, grid.cells(&[*p; BLOCK_PHOTONS])[0]);
+        }
+    }
+}
+
 /// Orders a cell's photons, the first of which is number `first`, so that no photon is on the wrong side of the end of a chunk.
-fn cut(photons: &mut [PhotonRecord], first: usize) {
+fn cut(photons: &mut [PhotonRecord], first: usize, instructions: Instructions) {
     let end = first + photons.len();
     // The ends of chunks within.
     let (low, high) = (first / CHUNK + 1, end.div_ceil(CHUNK));
@@ -116,7 +155,7 @@ fn cut(photons: &mut [PhotonRecord], first: usize) {
         return;
     }
     let middle = (low + high) / 2 * CHUNK - first;
-    let bounds = Instructions::default().run(BoundsOf(photons));
+    let bounds = instructions.run(BoundsOf(photons));
     let axis = longest(&bounds);
     photons.select_nth_unstable_by(middle, |a, b| {
         match ordered(a.position_bits[axis]).cmp(&ordered(b.position_bits[axis])) {
@@ -125,20 +164,20 @@ fn cut(photons: &mut [PhotonRecord], first: usize) {
         }
     });
     let (before, after) = photons.split_at_mut(middle);
-    cut(before, first);
-    cut(after, first + middle);
+    cut(before, first, instructions);
+    cut(after, first + middle, instructions);
 }
 
 /// The bits of an `f32` as an integer that orders as the numbers do (`-0 < +0`; NaNs at the ends).
 #[inline(always)]
-fn ordered(bits: u32) -> u32 {
-    bits ^ ((bits as i32 >> 31) as u32 | 1 << 31)
+pub(super) fn ordered(bits: u32) -> i32 {
+    bits as i32 ^ ((bits as i32 >> 31) as u32 >> 1) as i32
 }
 
 /// Undoes [`ordered`].
 #[inline(always)]
-fn unordered(key: u32) -> u32 {
-    key ^ (!(key as i32 >> 31) as u32 | 1 << 31)
+pub(super) fn unordered(key: i32) -> f32 {
+    f32::from_bits(ordered(key as u32) as u32)
 }
 
 /// The box about nothing.
@@ -182,7 +221,7 @@ fn about(node: &MapNode) -> Bounds {
 }
 
 /// The node of up to eight boxes.
-fn node_about(boxes: impl Iterator<Item = Bounds>) -> MapNode {
+pub(super) fn node_about(boxes: impl Iterator<Item = Bounds>) -> MapNode {
     let [min, max] = nothing().map(|corner| corner.map(|c| [c; NODE_CHILDREN]));
     let mut node = MapNode { min, max };
     for (i, bounds) in boxes.take(NODE_CHILDREN).enumerate() {
@@ -211,7 +250,7 @@ pub(super) fn raise(boxes: &[Bounds], nodes: &mut Vec<MapNode>) {
 
 /// The longest side of a box, the lowest axis among equals.
 #[inline(always)]
-fn longest(bounds: &Bounds) -> usize {
+pub(super) fn longest(bounds: &Bounds) -> usize {
     let side = |axis: usize| bounds[1][axis] - bounds[0][axis];
     let mut axis = 0;
     for i in 1..3 {
@@ -230,8 +269,24 @@ impl Task for BoundsOf<'_> {
 
     #[inline(always)]
     fn with<L: Level>(self, _: L) -> Bounds {
+        // Sixteen boxes at a time.
+        let (mut min, mut max) = ([[f32::MAX; 16]; 3], [[f32::MIN; 16]; 3]);
+        let (sixteens, rest) = self.0.as_chunks::<16>();
+        for photons in sixteens {
+            for axis in 0..3 {
+                for i in 0..16 {
+                    let at = f32::from_bits(photons[i].position_bits[axis]);
+                    let (low, high) = (&mut min[axis][i], &mut max[axis][i]);
+                    *low = if at < *low { at } else { *low };
+                    *high = if at > *high { at } else { *high };
+                }
+            }
+        }
         let mut bounds = nothing();
-        for p in self.0 {
+        for i in 0..16 {
+            bounds = union(bounds, [min.map(|axis| axis[i]), max.map(|axis| axis[i])]);
+        }
+        for p in rest {
             let at = p.position_bits.map(f32::from_bits);
             bounds = union(bounds, [at, at]);
         }
@@ -243,8 +298,10 @@ impl Task for BoundsOf<'_> {
 struct Grid {
     min: [f32; 3],
     scale: [f32; 3],
+    /// The greatest step along each axis.
+    last: [f32; 3],
     /// Bits of a cell's number by the step along each axis.
-    bits: [Vec<u16>; 3],
+    bits: Box<[[u16; 1 << HALVINGS]; 3]>,
 }
 
 impl Grid {
@@ -259,50 +316,60 @@ impl Grid {
             halvings[axis] += 1;
             order.push(axis);
         }
-        let bits = [0, 1, 2].map(|axis| {
-            let steps = 1u32 << halvings[axis];
-            let number = |step: u32| {
+        let mut bits = Box::new([[0; 1 << HALVINGS]; 3]);
+        for axis in 0..3 {
+            for (step, number) in bits[axis][..1 << halvings[axis]].iter_mut().enumerate() {
                 let mut left = halvings[axis];
-                let mut number = 0u32;
                 for &halved in &order {
-                    number <<= 1;
+                    *number <<= 1;
                     if halved == axis {
                         left -= 1;
-                        number |= step >> left & 1;
+                        *number |= (step >> left & 1) as u16;
                     }
                 }
-                number as u16
-            };
-            (0..steps).map(number).collect()
-        });
+            }
+        }
+        let steps = halvings.map(|halvings| (1u32 << halvings) as f32);
         let scale = [0, 1, 2].map(|axis| {
-            let scale = (1u32 << halvings[axis]) as f32 / size[axis];
+            let scale = steps[axis] / size[axis];
             if scale.is_finite() { scale } else { 0.0 }
         });
-        Self { min, scale, bits }
+        Self { min, scale, last: steps.map(|steps| steps - 1.0), bits }
     }
 
+    /// The cells of sixteen photons.
     #[inline(always)]
-    fn cell(&self, p: &PhotonRecord) -> usize {
-        let mut cell = 0;
+    fn cells(&self, photons: &[PhotonRecord; BLOCK_PHOTONS]) -> [usize; BLOCK_PHOTONS] {
+        /// Where numbers have no digits after the point.
+        const WHOLE: f32 = 8_388_608.0;
+        let mut cells = [0; BLOCK_PHOTONS];
         for axis in 0..3 {
-            let step = (f32::from_bits(p.position_bits[axis]) - self.min[axis]) * self.scale[axis];
-            // What is no number is in the first.
-            let step = (step as usize).min(self.bits[axis].len() - 1);
-            cell |= self.bits[axis][step];
+            let (min, scale, last) = (self.min[axis], self.scale[axis], self.last[axis]);
+            let mut steps = [0; BLOCK_PHOTONS];
+            for i in 0..BLOCK_PHOTONS {
+                let at = (f32::from_bits(photons[i].position_bits[axis]) - min) * scale;
+                // What is no number is in the first.
+                let at = if at > 0.0 { at } else { 0.0 };
+                let at = if at < last { at } else { last };
+                let near = (at + WHOLE) - WHOLE;
+                let below = if near > at { near - 1.0 } else { near };
+                steps[i] = (below + WHOLE).to_bits();
+            }
+            for i in 0..BLOCK_PHOTONS {
+                cells[i] |= self.bits[axis][steps[i] as usize & ((1 << HALVINGS) - 1)];
+            }
         }
-        usize::from(cell) & ((1 << HALVINGS) - 1)
+        cells.map(|cell| usize::from(cell) & ((1 << HALVINGS) - 1))
     }
 }
 
-/// A chunk to be finished: its blocks hold its photons as records; the nodes about them are to be written.
-struct Chunk<'a> {
-    blocks: &'a mut [MapBlock],
-    nodes: &'a mut [MapNode],
+fn finish_chunks(
+    blocks: &mut [MapBlock],
+    nodes: &mut [MapNode],
     photons: usize,
-}
-
-fn finish_chunks(blocks: &mut [MapBlock], nodes: &mut [MapNode], photons: usize, threads: usize) {
+    threads: usize,
+    instructions: Instructions,
+) {
     let chunks = blocks.chunks_mut(CHUNK_BLOCKS).zip(nodes.chunks_mut(CHUNK_NODES)).enumerate();
     let chunks = chunks.map(|(i, (blocks, nodes))| Chunk {
         blocks,
@@ -312,7 +379,7 @@ fn finish_chunks(blocks: &mut [MapBlock], nodes: &mut [MapNode], photons: usize,
     let threads = threads.min(photons.div_ceil(CHUNK));
     if threads <= 1 {
         let mut bench = Bench::default();
-        chunks.for_each(|chunk| bench.finish(chunk));
+        chunks.for_each(|chunk| bench.finish(chunk, instructions));
         return;
     }
     let chunks = Mutex::new(chunks);
@@ -324,178 +391,13 @@ fn finish_chunks(blocks: &mut [MapBlock], nodes: &mut [MapNode], photons: usize,
                     // A thread that panicked took its own chunk only; the scope passes the panic on.
                     let chunk = chunks.lock().unwrap_or_else(PoisonError::into_inner).next();
                     match chunk {
-                        Some(chunk) => bench.finish(chunk),
+                        Some(chunk) => bench.finish(chunk, instructions),
                         None => break,
                     }
                 }
             });
         }
     });
-}
-
-/// A photon on its way to its block: its coordinates as [`ordered`] bits, and its number in the chunk.
-type Point = [u32; 4];
-
-/// One thread's working memory.
-#[derive(Default)]
-struct Bench {
-    records: Vec<PhotonRecord>,
-    points: Vec<Point>,
-}
-
-impl Bench {
-    fn finish(&mut self, chunk: Chunk<'_>) {
-        Instructions::default().run(Finish { bench: self, chunk });
-    }
-}
-
-struct Finish<'a> {
-    bench: &'a mut Bench,
-    chunk: Chunk<'a>,
-}
-
-impl Task for Finish<'_> {
-    type Output = ();
-
-    #[inline(always)]
-    fn with<L: Level>(self, _: L) {
-        let Self { bench: Bench { records, points }, chunk } = self;
-        records.clear();
-        points.clear();
-        if let Ok(stored) = <[PhotonRecord]>::ref_from_bytes(chunk.blocks.as_bytes()) {
-            records.extend_from_slice(&stored[..chunk.photons]);
-        }
-        points.extend(records.iter().enumerate().map(|(i, p)| {
-            let [x, y, z] = p.position_bits;
-            [ordered(x), ordered(y), ordered(z), i as u32]
-        }));
-        divide(points, records);
-        for (i, (block, points)) in
-            chunk.blocks.iter_mut().zip(points.chunks(BLOCK_PHOTONS)).enumerate()
-        {
-            *block =
-                MapBlock { position_bits: [[NO_PHOTON; BLOCK_PHOTONS]; 3], ..MapBlock::default() };
-            for (at, point) in points.iter().enumerate() {
-                block.set(at, &records[point[3] as usize]);
-            }
-            let node = &mut chunk.nodes[i / NODE_CHILDREN];
-            if i % NODE_CHILDREN == 0 {
-                *node = node_about(std::iter::empty());
-            }
-            let bounds = box_of(block);
-            for axis in 0..3 {
-                node.min[axis][i % NODE_CHILDREN] = bounds[0][axis];
-                node.max[axis][i % NODE_CHILDREN] = bounds[1][axis];
-            }
-        }
-    }
-}
-
-/// Least and greatest of each coordinate.
-#[inline(always)]
-fn extent(points: &[Point]) -> [Point; 2] {
-    let (mut min, mut max) = ([u32::MAX; 4], [0; 4]);
-    for p in points {
-        for i in 0..4 {
-            min[i] = min[i].min(p[i]);
-            max[i] = max[i].max(p[i]);
-        }
-    }
-    [min, max]
-}
-
-#[inline(always)]
-fn longest_of(extent: &[Point; 2]) -> usize {
-    let [min, max] = extent.map(|p| [0, 1, 2].map(|i| f32::from_bits(unordered(p[i]))));
-    longest(&[min, max])
-}
-
-#[inline(always)]
-fn key(point: &Point, axis: usize) -> u64 {
-    u64::from(point[axis & 3]) << 32 | u64::from(point[3])
-}
-
-/// Orders points block by block.
-#[inline(always)]
-fn divide(points: &mut [Point], records: &[PhotonRecord]) {
-    // Ranges that wait, with the extent of their points: 6 halvings of a chunk leave a block.
-    let mut waiting = [(0usize, 0usize, [[0; 4]; 2]); 12];
-    let mut depth = 0;
-    let (mut first, mut end, mut about) = (0, points.len(), extent(points));
-    loop {
-        let part = &mut points[first..end];
-        let axis = longest_of(&about);
-        if part.len() <= BLOCK_PHOTONS {
-            order_block(part, axis, records);
-            if depth == 0 {
-                return;
-            }
-            depth -= 1;
-            (first, end, about) = waiting[depth];
-            continue;
-        }
-        let left = count_blocks(part.len()).next_power_of_two() / 2 * BLOCK_PHOTONS;
-        part.select_nth_unstable_by_key(left, |p| key(p, axis));
-        let median = part[left][axis];
-        about = extent(&part[..left]);
-        if about[1][axis] == median {
-            settle(part, left, axis, records);
-            about = extent(&part[..left]);
-        }
-        waiting[depth] = (first + left, end, extent(&part[left..]));
-        depth += 1;
-        end = first + left;
-    }
-}
-
-/// Points that have the median's coordinate go to the left part in the canonical order of their photons.
-#[cold]
-#[inline(never)]
-fn settle(points: &mut [Point], left: usize, axis: usize, records: &[PhotonRecord]) {
-    let median = points[left][axis];
-    let tied: Vec<usize> = (0..points.len()).filter(|&i| points[i][axis] == median).collect();
-    let mut sorted: Vec<Point> = tied.iter().map(|&i| points[i]).collect();
-    sorted.sort_unstable_by(|a, b| canonical_cmp(&records[a[3] as usize], &records[b[3] as usize]));
-    for (i, point) in tied.into_iter().zip(sorted) {
-        points[i] = point;
-    }
-}
-
-/// Sorts the points of a block along an axis.
-#[inline(always)]
-fn order_block(points: &mut [Point], axis: usize, records: &[PhotonRecord]) {
-    // Each point's place is the number of points before it.
-    let n = points.len();
-    let mut keys = [u32::MAX; BLOCK_PHOTONS];
-    for (key, p) in keys.iter_mut().zip(points.iter()) {
-        *key = p[axis & 3];
-    }
-    let mut places = [0u32; BLOCK_PHOTONS];
-    let mut equal = [0u32; BLOCK_PHOTONS];
-    for j in 0..BLOCK_PHOTONS {
-        let key = keys[j];
-        for i in 0..BLOCK_PHOTONS {
-            places[i] += u32::from(key < keys[i]);
-            equal[i] += u32::from(key == keys[i]);
-        }
-    }
-    let mut sum = 0;
-    for count in &equal[..n] {
-        sum += count;
-    }
-    if sum as usize != n {
-        points.sort_unstable_by(|a, b| {
-            a[axis]
-                .cmp(&b[axis])
-                .then_with(|| canonical_cmp(&records[a[3] as usize], &records[b[3] as usize]))
-        });
-        return;
-    }
-    let mut out = [[0; 4]; BLOCK_PHOTONS];
-    for (p, &place) in points.iter().zip(&places) {
-        out[place as usize & (BLOCK_PHOTONS - 1)] = *p;
-    }
-    points.copy_from_slice(&out[..n]);
 }
 
 #[cfg(test)]
@@ -560,7 +462,7 @@ mod tests {
             assert!(ordered(pair[0].to_bits()) < ordered(pair[1].to_bits()), "{pair:?}");
         }
         for bits in [0, 1, 0x7fc0_0001, 0x8000_0000, 0xffff_ffff, 0x3f80_0000] {
-            assert_eq!(unordered(ordered(bits)), bits);
+            assert_eq!(unordered(ordered(bits)).to_bits(), bits);
         }
     }
 
@@ -583,6 +485,30 @@ mod tests {
             }
             shuffle(&mut photons, 3);
             assert!(built(&photons, 1) == one, "another order of {} photons", photons.len());
+        }
+    }
+
+    /// Ties, halves of chunks and places that are empty, with each set of instructions that there is.
+    #[test]
+    fn instructions_do_not_show() {
+        let mut shelf = shuffled(5_000, 4);
+        for (i, p) in shelf.iter_mut().enumerate() {
+            p.position_bits[i % 2] = ((i % 5) as f32 * 0.5).to_bits();
+        }
+        let mut numberless = shuffled(3_000, 6);
+        for (i, p) in numberless.iter_mut().enumerate() {
+            p.position_bits[i % 3] =
+                [f32::NAN, -f32::NAN, f32::INFINITY, -0.0, 1.0][i % 5].to_bits();
+        }
+        for photons in [shuffled(30_000, 7), shuffled(1_000, 1), shuffled(33, 2), shelf, numberless]
+        {
+            let with = |instructions| {
+                let mut blob = vec![0; blob_bytes(photons.len())];
+                build_with(&photons, &mut blob, 1.0, [0, 1], 1, instructions);
+                blob
+            };
+            let [portable, others @ ..] = Instructions::ALL.map(with);
+            assert!(others.iter().all(|blob| *blob == portable), "{} photons", photons.len());
         }
     }
 

@@ -18,6 +18,7 @@
 
 mod build;
 mod cache;
+mod chunk;
 mod gather;
 mod lanes;
 mod map;

@@ -20,6 +20,12 @@ fn key(p: &PhotonRecord) -> [u64; 3] {
     ]
 }
 
+/// The first eight bytes, of which photons that differ mostly differ in some.
+#[inline]
+pub(crate) fn canonical_start(p: &PhotonRecord) -> u64 {
+    key(p)[0]
+}
+
 /// Bytewise comparison of two records.
 #[inline]
 pub(crate) fn canonical_cmp(a: &PhotonRecord, b: &PhotonRecord) -> Ordering {
