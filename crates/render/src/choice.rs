@@ -208,7 +208,12 @@ mod tests {
         let mut choices = Vec::new();
         for id in [2, 5] {
             let parts = parts(&light, &emitters);
-            choices.extend(parts.map(|(part, range)| Choice { light: id, share: 1.0, part, range }));
+            choices.extend(parts.map(|(part, range)| Choice {
+                light: id,
+                share: 1.0,
+                part,
+                range,
+            }));
         }
         for (at, choice) in choices.iter().enumerate() {
             for u in [0.0, 0.3, 1.0f32.next_down()] {
