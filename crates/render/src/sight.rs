@@ -17,6 +17,8 @@ use crate::choice::Choice;
 const HIDDEN: f32 = 0.1;
 /// Openings that are held against the way to a light, at most: those that it shines on most.
 const OPENINGS: usize = 6;
+/// Where there is more to choose from, nothing is held against anything: it would take long, and bytes.
+const MANY: usize = 1024;
 /// The softness of an opening's edge is no less, m.
 const LEAST_BLUR_M: f32 = 0.02;
 /// A point may lie so far on the wrong side of an opening, m: reveals are deep.
@@ -115,6 +117,9 @@ impl Sights {
         pieces: &[PortalPieceRecord],
         bsp: &Bsp<'_>,
     ) -> Self {
+        if lights.len() > MANY {
+            return Self::default();
+        }
         let of = |p: &PortalRecord| {
             let first = p.first_piece as usize;
             pieces.get(first..first + p.piece_count as usize).unwrap_or(&[])
