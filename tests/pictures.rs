@@ -394,6 +394,46 @@ fn bands_that_are_under_way_together() {
     }
 }
 
+/// Gathered light is averaged across the edges of bands, and of those of an earlier run: killed on the way once a band is written,
+/// with one thread or several, in little memory or much, the same bits.
+#[test]
+fn bands_that_are_smoothed_together() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = light(&common::furnished(dir.path()), "3k", &[]);
+    let mut seen: Option<Vec<u8>> = None;
+    for (i, (memory, threads, killed)) in
+        [("1G", "2", false), ("72M", "1", false), ("1G", "4", true), ("1G", "1", true)]
+            .into_iter()
+            .enumerate()
+    {
+        let out = dir.path().join(format!("hall-{i}.exr"));
+        // Four bands and a bit.
+        let command = |force: bool| {
+            let mut command = bin("enf-render");
+            command.arg(&store).arg("-o").arg(&out).args(GATHER);
+            command.args(["--quiet", "--all-rooms", "--view", "hall", "--samples", "2"]);
+            command.args(["--width", "512", "--height", "272", "--gather-rays", "2"]);
+            command.args(["--memory", memory, "--threads", threads]);
+            command.args(force.then_some("--force"));
+            command
+        };
+        if killed {
+            common::files_of(&store).iter().filter(|f| f.starts_with("render.")).for_each(|f| {
+                std::fs::remove_file(store.join(f)).unwrap();
+            });
+            let mut child = command(false).spawn().unwrap();
+            while child.try_wait().unwrap().is_none() && !is_a_band_written(&store) {
+                std::thread::sleep(std::time::Duration::from_millis(2));
+            }
+            let _ = child.kill();
+            child.wait().unwrap();
+        }
+        ok(&mut command(!killed));
+        let bytes = std::fs::read(&out).unwrap();
+        assert!(*seen.get_or_insert_with(|| bytes.clone()) == bytes, "variant {i}");
+    }
+}
+
 /// Whether a band of a picture is written.
 fn is_a_band_written(store: &Path) -> bool {
     let found = StoreDir::open(store)

@@ -12,6 +12,8 @@ use glam::Vec3;
 const GAP_M: f32 = 0.02;
 /// Parts of a light at most.
 const PARTS: usize = 32;
+/// Where so many lights reach a room (the outside, mostly), they are chosen as a whole: choosing takes time and bytes for each.
+const MANY: usize = 256;
 
 /// A light, or a part of one.
 #[derive(Clone, Debug)]
@@ -43,8 +45,13 @@ pub(crate) fn choices(lights: &[(u32, f32)], tables: &Tables) -> Vec<Choice> {
     let mut choices = Vec::with_capacity(lights.len());
     for &(id, share) in lights {
         let light = &tables.lights()[id as usize];
+        let whole = Choice { light: id, share, part: *light, range: [0.0, 1.0] };
+        if lights.len() > MANY {
+            choices.push(whole);
+            continue;
+        }
         let parts = parts(light, tables.emitters_of(light));
-        choices.extend(parts.map(|(part, range)| Choice { light: id, share, part, range }));
+        choices.extend(parts.map(|(part, range)| Choice { part, range, ..whole.clone() }));
     }
     choices
 }
@@ -208,7 +215,12 @@ mod tests {
         let mut choices = Vec::new();
         for id in [2, 5] {
             let parts = parts(&light, &emitters);
-            choices.extend(parts.map(|(part, range)| Choice { light: id, share: 1.0, part, range }));
+            choices.extend(parts.map(|(part, range)| Choice {
+                light: id,
+                share: 1.0,
+                part,
+                range,
+            }));
         }
         for (at, choice) in choices.iter().enumerate() {
             for u in [0.0, 0.3, 1.0f32.next_down()] {

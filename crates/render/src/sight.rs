@@ -17,6 +17,8 @@ use crate::choice::Choice;
 const HIDDEN: f32 = 0.1;
 /// Openings that are held against the way to a light, at most: those that it shines on most.
 const OPENINGS: usize = 6;
+/// Where there is more to choose from, nothing is held against anything: it would take long, and bytes.
+const MANY: usize = 1024;
 /// The softness of an opening's edge is no less, m.
 const LEAST_BLUR_M: f32 = 0.02;
 /// A point may lie so far on the wrong side of an opening, m: reveals are deep.
@@ -115,6 +117,9 @@ impl Sights {
         pieces: &[PortalPieceRecord],
         bsp: &Bsp<'_>,
     ) -> Self {
+        if lights.len() > MANY {
+            return Self::default();
+        }
         let of = |p: &PortalRecord| {
             let first = p.first_piece as usize;
             pieces.get(first..first + p.piece_count as usize).unwrap_or(&[])
@@ -175,12 +180,12 @@ mod tests {
         let at = |light: &Light, x: f32, y: f32, z: f32| door.shows(light, Vec3::new(x, y, z));
         // The way to the strip of floor, to beside it, to the wall above the door, to the corridor's own floor.
         let small = lamp(0.0);
-        assert_eq!(at(&small, 2.0, 1.5, 0.0), 1.0);
+        assert!((at(&small, 2.0, 1.5, 0.0) - 1.0).abs() < 1e-5);
         assert_eq!(at(&small, 2.0, 1.5, 1.6), 0.0);
         assert_eq!(at(&small, 2.0, 4.5, 0.0), 0.0);
         assert_eq!(at(&small, -1.0, 1.5, 0.0), 0.0);
         // In the reveal, and where half of it is behind the jamb: at y = 2 half way.
-        assert_eq!(at(&small, -0.03, 1.5, 0.5), 1.0);
+        assert!((at(&small, -0.03, 1.5, 0.5) - 1.0).abs() < 1e-5);
         assert!((at(&small, 2.0, 2.5, 0.0) - 0.5).abs() < 1e-3);
         // A wider one fades in over more, and is seen in part through what is narrower than it.
         let wide = lamp(0.8);
@@ -188,7 +193,7 @@ mod tests {
         assert!(at(&lamp(4.0), 2.0, 1.5, 0.0) < 0.5);
         let sights = Sights(vec![Some(small), None]);
         let (floor, beside) = (Vec3::new(2.0, 1.5, 0.0), Vec3::new(2.0, 4.5, 0.0));
-        assert_eq!(sights.share(0, 0.3, floor), 1.0);
+        assert!((sights.share(0, 0.3, floor) - 1.0).abs() < 1e-5);
         assert!((sights.share(0, 0.3, beside) - HIDDEN).abs() < 1e-6);
         assert_eq!(sights.share(1, 0.3, beside), 0.3);
     }

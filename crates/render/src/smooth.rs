@@ -502,8 +502,8 @@ impl Fit {
         }
         for (c, value) in light.to_array().map(f64::from).into_iter().enumerate() {
             self.light[c] += weight * value;
-            for i in 0..FEATURES {
-                self.lights[c][i] += weight * value * features[i];
+            for (sum, feature) in self.lights[c].iter_mut().zip(features) {
+                *sum += weight * value * feature;
             }
         }
         let [least, most] = self.range.unwrap_or([light; 2]);
@@ -519,10 +519,9 @@ impl Fit {
         for i in 0..FEATURES {
             for j in 0..=i {
                 let ridge = if i == j { RIDGE } else { 0.0 };
-                let mut sum = self.products[i][j] / self.weight - mean[i] * mean[j] + ridge;
-                for k in 0..j {
-                    sum -= lower[i][k] * lower[j][k];
-                }
+                let covariance = self.products[i][j] / self.weight - mean[i] * mean[j] + ridge;
+                let both = lower[i].iter().zip(&lower[j]).take(j);
+                let sum = covariance - both.map(|(a, b)| a * b).sum::<f64>();
                 // Above the ridge, but for rounding.
                 lower[i][j] = if i == j { sum.max(0.1 * RIDGE).sqrt() } else { sum / lower[j][j] };
             }
