@@ -10,7 +10,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use enf_layout::sections::Malformed;
-use memmap2::MmapMut;
+use memmap2::{MmapMut, MmapOptions};
 use parking_lot::Mutex;
 use zerocopy::{FromBytes, FromZeros, Immutable, IntoBytes, KnownLayout};
 
@@ -258,13 +258,42 @@ impl Buffer {
         len: usize,
         what: &'static str,
     ) -> Result<Self, BudgetError> {
+        Self::new(budget, len, what, false)
+    }
+
+    /// Zero bytes all of which will be written at once: the system brings their pages in one go, at half the cost.
+    ///
+    /// # Errors
+    /// When the budget, or the operating system, has not got them.
+    pub(crate) fn to_fill(
+        budget: &MemoryBudget,
+        len: usize,
+        what: &'static str,
+    ) -> Result<Self, BudgetError> {
+        Self::new(budget, len, what, true)
+    }
+
+    fn new(
+        budget: &MemoryBudget,
+        len: usize,
+        what: &'static str,
+        populate: bool,
+    ) -> Result<Self, BudgetError> {
         let reservation = budget.reserve(len as u64, what)?;
         let lines = len.div_ceil(64).max(1);
         let storage = if len >= OWN_PAGES {
+            let map = |bytes| {
+                let mut options = MmapOptions::new();
+                options.len(bytes);
+                if populate {
+                    options.populate();
+                }
+                options.map_anon()
+            };
             lines
                 .checked_mul(64)
                 .ok_or(io::ErrorKind::OutOfMemory.into())
-                .and_then(MmapMut::map_anon)
+                .and_then(map)
                 .map(Storage::Pages)
                 .ok()
         } else {

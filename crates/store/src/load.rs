@@ -181,7 +181,7 @@ pub(crate) fn unpack(
     let length = |bytes: u64| {
         usize::try_from(bytes).map_err(|_| bad(format!("{bytes} bytes do not fit in memory")))
     };
-    let mut stored = Buffer::zeroed(budget, length(extent.stored_bytes)?, what)?;
+    let mut stored = Buffer::to_fill(budget, length(extent.stored_bytes)?, what)?;
     fetch(&mut stored)?;
     if extent.codec == Codec::Raw {
         return Ok(stored);
@@ -189,7 +189,7 @@ pub(crate) fn unpack(
     if get_frame_content_size(&stored).ok().flatten() != Some(extent.raw_bytes) {
         return Err(bad("the compressed frame and the journal disagree about its length".into()));
     }
-    let mut raw = Buffer::zeroed(budget, length(extent.raw_bytes)?, what)?;
+    let mut raw = Buffer::to_fill(budget, length(extent.raw_bytes)?, what)?;
     {
         let _context = budget.reserve(DECOMPRESSOR, "decompressor")?;
         let inflated = Decompressor::new()
@@ -202,7 +202,7 @@ pub(crate) fn unpack(
     drop(stored);
     if extent.codec == Codec::ZstdPlanes {
         let scratch = codec::scratch_bytes(&raw).map_err(|e| bad(e.0))?;
-        let mut scratch = Buffer::zeroed(budget, scratch, what)?;
+        let mut scratch = Buffer::to_fill(budget, scratch, what)?;
         codec::inverse(&mut raw, &mut scratch).map_err(|e| bad(e.0))?;
     }
     Ok(raw)

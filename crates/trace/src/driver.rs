@@ -25,6 +25,8 @@ pub(crate) const JOB_PHOTONS: u64 = 4096;
 const VISIT_PHOTONS: u64 = 1 << 20;
 /// A kill loses at most these bytes of work, or the time that `--epoch` says.
 const EPOCH_BYTES: u64 = 256 << 20;
+/// With fewer tiles in memory, no part of a building is there as a whole.
+const FEW_TILES: usize = 16;
 /// Who is waited for is said this often.
 const SAY_EVERY: Duration = Duration::from_secs(10);
 
@@ -88,6 +90,7 @@ pub(crate) struct Driver<'a> {
     manner: Manner,
     cursors: BTreeMap<u32, u64>,
     scheduler: Scheduler,
+    neighbours: Neighbours,
     sweep: Sweep,
     lane: Lane,
     visits: BTreeMap<u32, Visit>,
@@ -117,6 +120,7 @@ impl<'a> Driver<'a> {
         // Of several processes each knows its own part only, and not how large that is.
         let known = (manner.share.of == 1).then_some(total);
         let progress = Progress::new(common, "trace", known, "photons");
+        let neighbours = Neighbours::new(context.tables);
         Self {
             common,
             context,
@@ -125,7 +129,8 @@ impl<'a> Driver<'a> {
             manner,
             cursors,
             scheduler,
-            sweep: Sweep::new(context.tables, &Neighbours::new(context.tables)),
+            sweep: Sweep::new(context.tables, &neighbours),
+            neighbours,
             lane,
             visits: BTreeMap::new(),
             open: VecDeque::new(),
@@ -183,7 +188,7 @@ impl<'a> Driver<'a> {
                     }
                 }
                 if self.cache.in_flight() == 0 {
-                    match self.scheduler.next_of_sweep(&self.sweep, &|_| false) {
+                    match self.next_load(&|_| false) {
                         // It did not fit beside what is kept in memory.
                         Some(tile) => drop(self.cache.get(tile)?),
                         None if self.manner.share.of == 1 || self.wait_for_others()? => {
@@ -397,6 +402,17 @@ impl<'a> Driver<'a> {
         Ok(())
     }
 
+    /// The tile to load next. A sweep pays where what belongs together is in memory together; if that is much less, light that goes to
+    /// and fro between neighbours comes first.
+    fn next_load(&self, excluded: &dyn Fn(u32) -> bool) -> Option<u32> {
+        let here = self.cache.residents().count();
+        let full = || self.cache.loads().values().sum::<u32>() as usize > here;
+        if here < FEW_TILES && full() {
+            return self.scheduler.next_load(self.cache.recent(), &self.neighbours, excluded);
+        }
+        self.scheduler.next_of_sweep(&self.sweep, excluded)
+    }
+
     /// Asks for tiles that are worth it, as far as there is room, until enough wait for their visit.
     fn load_ahead(&mut self) -> Result<()> {
         loop {
@@ -412,7 +428,7 @@ impl<'a> Driver<'a> {
             let excluded = |tile: u32| {
                 cache.is_resident(tile) || cache.is_in_flight(tile) || visits.contains_key(&tile)
             };
-            let next = scheduler.next_of_sweep(&self.sweep, &excluded);
+            let next = self.next_load(&excluded);
             let Some(tile) = next else { return Ok(()) };
             if !self.cache.ask(tile, &|t| !stays(t))? {
                 return Ok(());
