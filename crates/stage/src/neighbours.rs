@@ -32,7 +32,7 @@ impl Neighbours {
                 }
                 let pieces = portal.first_piece..portal.first_piece + portal.piece_count;
                 let pieces = tables.pieces().get(pieces.start as usize..pieces.end as usize);
-                for (min, max) in pieces.unwrap_or(&[]).iter().filter_map(|p| bounds(p)) {
+                for (min, max) in pieces.unwrap_or(&[]).iter().filter_map(bounds) {
                     let at = |tile: &u32| {
                         let tile = &tiles[*tile as usize];
                         (0..3)

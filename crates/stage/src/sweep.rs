@@ -31,7 +31,7 @@ impl Sweep {
         let mut order: Vec<u32> = (0..centres.len() as u32).collect();
         // On which side of the cut that is tried last a tile is: numbers that are new for each axis of each set.
         let mut side = vec![0u32; centres.len()];
-        let mut sets = vec![0..order.len()];
+        let mut sets: Vec<_> = std::iter::once(0..order.len()).collect();
         let mut mark = 0u32;
         while let Some(set) = sets.pop() {
             let tiles = &mut order[set.clone()];

@@ -26,7 +26,7 @@ const VISIT_PHOTONS: u64 = 1 << 20;
 /// A kill loses at most these bytes of work, or the time that `--epoch` says.
 const EPOCH_BYTES: u64 = 256 << 20;
 /// With fewer tiles in memory, no part of a building is there as a whole.
-const FEW_TILES: usize = 16;
+const FEW_TILES: usize = 13;
 /// Who is waited for is said this often.
 const SAY_EVERY: Duration = Duration::from_secs(10);
 
