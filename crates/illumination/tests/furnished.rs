@@ -20,28 +20,16 @@ impl Random {
 
 const ROOM: Vec3 = Vec3::new(4.0, 3.0, 2.5);
 
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// What a place is on.
+#[derive(Clone, Copy)]
 enum Kind {
-    Floor,
-    Wall,
-    Cupboard,
+    Plain = 1,
     Top,
     Leg,
     Shelf,
     Book,
     Slat,
 }
-
-const KINDS: [Kind; 8] = [
-    Kind::Floor,
-    Kind::Wall,
-    Kind::Cupboard,
-    Kind::Top,
-    Kind::Leg,
-    Kind::Shelf,
-    Kind::Book,
-    Kind::Slat,
-];
 
 struct Cuboid {
     low: Vec3,
@@ -69,7 +57,7 @@ fn furniture() -> Vec<Cuboid> {
             put([x + dx, y + dy, 0.0], [0.04, 0.04, z], Kind::Leg);
         }
     }
-    put([3.2, 0.0, 0.0], [0.8, 0.5, 1.8], Kind::Cupboard);
+    put([3.2, 0.0, 0.0], [0.8, 0.5, 1.8], Kind::Plain);
     for shelf in 0..4 {
         let z = 0.3 + 0.4 * shelf as f32;
         put([1.5, 2.7, z], [1.8, 0.3, 0.02], Kind::Shelf);
@@ -98,7 +86,7 @@ impl Furnace {
         let boxes = furniture();
         let mut faces = Vec::new();
         let mut sum = 0.0;
-        let mut add = |low: Vec3, size: Vec3, outwards: f32, kind: &dyn Fn(usize) -> Kind| {
+        let mut add = |low: Vec3, size: Vec3, outwards: f32, kind: Kind| {
             for axis in 0..3 {
                 for high in [false, true] {
                     let mut corner = low;
@@ -110,13 +98,13 @@ impl Furnace {
                     let side = |a: usize| Vec3::AXES[a % 3] * size[a % 3];
                     let sides = [side(axis + 1), side(axis + 2)];
                     sum += sides[0].length() * sides[1].length();
-                    faces.push((corner, sides, normal, kind(axis * 2 + usize::from(high)), sum));
+                    faces.push((corner, sides, normal, kind, sum));
                 }
             }
         };
-        add(Vec3::ZERO, ROOM, -1.0, &|f| if f == 4 { Kind::Floor } else { Kind::Wall });
+        add(Vec3::ZERO, ROOM, -1.0, Kind::Plain);
         for b in &boxes {
-            add(b.low, b.high - b.low, 1.0, &|_| b.kind);
+            add(b.low, b.high - b.low, 1.0, b.kind);
         }
         Self { boxes, faces }
     }
@@ -151,45 +139,54 @@ impl Furnace {
     }
 }
 
+/// Irradiance as the renderer asks for it, with the photons of a small and of a better picture: nowhere far from what it is, and right
+/// on the whole. Before small things were measured the whole had 0.93 and 0.95, legs 0.1 and 0.2, slats 0.4 and 0.6.
 #[test]
-fn probe() {
+fn a_furnished_furnace_is_even() {
     let furnace = Furnace::new();
-    for density in [1_000.0, 4_000.0, 16_000.0] {
+    // What must be between: everything, floor and walls and cupboard, tops, legs, shelves, books, slats.
+    let few = [
+        (0.97, 1.01),
+        (0.98, 1.01),
+        (0.92, 1.03),
+        (0.8, 1.2),
+        (0.8, 1.0),
+        (0.92, 1.03),
+        (0.8, 1.05),
+    ];
+    let many = [
+        (0.98, 1.01),
+        (0.99, 1.01),
+        (0.96, 1.03),
+        (0.95, 1.08),
+        (0.87, 1.0),
+        (0.96, 1.03),
+        (0.82, 1.05),
+    ];
+    for (density, limits) in [(1_000.0, few), (4_000.0, many)] {
         let mut r = Random(1);
-        let photons = furnace.photons(density, &mut r);
-        let blob = PhotonMap::build_blob(&photons, 0.6);
+        let blob = PhotonMap::build_blob(&furnace.photons(density, &mut r), 0.6);
         let map = PhotonMap::from_blob(&blob).unwrap();
         let cache = IrradianceCache::new(&map);
-        let mut scratch = GatherScratch::new(200);
-        let k: u32 = std::env::var("K").map_or(120, |k| k.parse().unwrap());
-        let gather = Gather { photons: k, radius: 0.6, kernel: Kernel::Constant };
-        let mut sums = [[0.0f64; 6]; 9];
-        for _ in 0..60_000 {
+        let mut scratch = GatherScratch::new(120);
+        let gather = Gather { photons: 120, radius: 0.6, kernel: Kernel::Constant };
+        let mut sums = [[0.0f64; 3]; 7];
+        for _ in 0..15_000 {
             let Some((p, n, kind)) = furnace.place(&mut r) else { continue };
             let e = cache.estimate(&map, p, n, &gather, &PortalSet::none(), &mut scratch);
-            let d = map.irradiance(p, n, &gather, &PortalSet::none(), &mut scratch);
-            let i = KINDS.iter().position(|k| *k == kind).unwrap();
-            for i in [i, 8] {
-                let v = f64::from(e.rgb[0] / density);
-                let w = f64::from(d.rgb[0] / density);
-                for (sum, x) in
-                    sums[i].iter_mut().zip([1.0, v, v * v, w, w * w, f64::from(u8::from(d.vague))])
-                {
-                    *sum += x;
-                }
+            let e = f64::from(e.rgb[0] / density);
+            for i in [0, kind as usize] {
+                sums[i] = [sums[i][0] + 1.0, sums[i][1] + e, sums[i][2] + e * e];
             }
         }
-        println!("density {density} photons {} k {k}", photons.len());
-        for (i, [n, v, v2, w, w2, vague]) in sums.into_iter().enumerate() {
-            let name = KINDS.get(i).map_or("all".into(), |k| format!("{k:?}"));
-            println!(
-                "{name:>9} {n:>6} cached {:.3} +- {:.3}  direct {:.3} +- {:.3} vague {:.2}",
-                v / n,
-                (v2 / n - (v / n) * (v / n)).sqrt(),
-                w / n,
-                (w2 / n - (w / n) * (w / n)).sqrt(),
-                vague / n
-            );
+        for (i, ([n, sum, squares], (low, high))) in sums.into_iter().zip(limits).enumerate() {
+            let mean = sum / n;
+            let deviation = (squares / n - mean * mean).sqrt();
+            println!("{density} {i}: {mean:.3} +- {deviation:.3} of {n}");
+            // Means of 200 places and more; the seed is fixed.
+            assert!(mean > low && mean < high, "{density} per m2, {i}: {mean} +- {deviation}");
         }
+        let [n, sum, squares] = sums[0];
+        assert!(squares / n - (sum / n).powi(2) < 0.17f64.powi(2), "{squares}");
     }
 }

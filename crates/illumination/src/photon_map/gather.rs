@@ -94,7 +94,7 @@ impl GatherScratch {
             notes: Notes::with_capacity(photons as usize),
             stack: Box::default(),
             openings: Vec::new(),
-            thing: Thing::default(),
+            thing: Thing::with_capacity((photons as usize).min(1 << 20)),
             instructions: Instructions::default(),
             last: None,
         }
@@ -342,6 +342,8 @@ fn along(code: u32) -> [f32; 3] {
     [x as f32, y as f32, z as f32]
 }
 
+/// Of a smaller part of a disc it is worth while to look more closely how much there is.
+const CLOSER_PART: f64 = 0.7;
 /// Bits behind the point of the sum of weights.
 const WEIGHT_BITS: i32 = 30;
 /// A small thing is no less than this part of its disc.
@@ -390,7 +392,8 @@ fn estimate(
     // What is vague is looked at more closely, where there is no caustic, which has an end of its own.
     let mut small = None;
     thing.clear();
-    if vague && radius > smallest && found.len() >= FEWEST {
+    let part = lit.share(r2, Kernel::Constant);
+    if (vague || part < CLOSER_PART) && radius > smallest && found.len() >= FEWEST {
         let axes = [lit.tangents[0], lit.tangents[1], normal];
         // Behind a slat there is another.
         let flat = SLAB_FLOOR_M.min(SLAB_FLOOR_RADII * largest_radius);

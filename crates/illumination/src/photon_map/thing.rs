@@ -12,7 +12,7 @@ use glam::Vec3;
 /// Fewer photons say nothing about a thing's size.
 pub(super) const FEWEST: usize = 10;
 /// A hop, over the distance at which photons would be apart in a square grid.
-const HOP: f32 = 1.6;
+const HOP: f32 = 1.8;
 /// A hop along a line, over the distance at which photons would be apart there.
 const HOP_ALONG: f32 = 8.0;
 /// A hull's area is made larger by this factor at most.
@@ -39,6 +39,15 @@ pub(super) struct Thing {
 }
 
 impl Thing {
+    /// Room for so many photons.
+    pub(super) fn with_capacity(photons: usize) -> Self {
+        Self {
+            members: Vec::with_capacity(photons),
+            sorted: Vec::with_capacity(photons),
+            hull: Vec::with_capacity(photons + 2),
+        }
+    }
+
     pub(super) fn bytes(&self) -> usize {
         self.members.capacity() * size_of::<Member>()
             + (self.sorted.capacity() + self.hull.capacity()) * size_of::<[f32; 2]>()
@@ -126,7 +135,7 @@ impl Thing {
             }
             fewest = hull.len();
         }
-        let corners = hull.len().saturating_sub(2).min(count);
+        let corners = hull.len().saturating_sub(1).min(count);
         let first = sorted[0];
         let twice: f64 = hull.windows(2).map(|side| turn(first, side[0], side[1])).sum();
         let outside = corners as f64 / (count + 1) as f64;
