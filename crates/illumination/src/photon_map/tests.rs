@@ -142,7 +142,7 @@ fn small_thing<'a>(
     loop {
         let area = hull(&all);
         let count = all.len() as f32;
-        let hop = ((area as f32 / count).sqrt() * 1.8).max(16.0 * r as f32 / count);
+        let hop = ((area as f32 / count).sqrt() * 1.6).max(16.0 * r as f32 / count);
         let nearest = all.iter().map(|f| f.0).min().unwrap();
         let mut on_it: Vec<bool> = all.iter().map(|f| f.0 == nearest).collect();
         for _ in 0..all.len() {

@@ -12,7 +12,7 @@ use glam::Vec3;
 /// Fewer photons say nothing about a thing's size.
 pub(super) const FEWEST: usize = 10;
 /// A hop, over the distance at which photons would be apart in a square grid.
-const HOP: f32 = 1.8;
+const HOP: f32 = 1.6;
 /// A hop along a line, over the distance at which photons would be apart there.
 const HOP_ALONG: f32 = 8.0;
 /// A hull's area is made larger by this factor at most.
