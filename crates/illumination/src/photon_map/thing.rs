@@ -98,7 +98,8 @@ impl Thing {
         let mut from = 0;
         while from < reached {
             let a = members[from].at;
-            for i in reached..count {
+            let rest = reached..count;
+            for i in rest {
                 let b = members[i].at;
                 let way = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
                 if way[0] * way[0] + way[1] * way[1] + way[2] * way[2] <= hop2 {
