@@ -17,6 +17,7 @@ use super::lanes::{Instructions, Level, ways};
 use super::map::PhotonMap;
 use super::portals::{Opening, PortalSet};
 use super::search::{Anything, Filter, Notes, Search, Stack};
+use super::thing::{FEWEST, Thing};
 
 /// Least cosine between a photon's surface and the query's. Surfaces that meet at 45 degrees, as in an
 /// octagonal room, do not share photons.
@@ -80,6 +81,7 @@ pub struct GatherScratch {
     notes: Notes,
     stack: Box<Stack>,
     openings: Vec<Opening>,
+    thing: Thing,
     instructions: Instructions,
     /// Where the last search was that found all that it looked for, and how far it had to look, m.
     last: Option<(Vec3, f32)>,
@@ -92,6 +94,7 @@ impl GatherScratch {
             notes: Notes::with_capacity(photons as usize),
             stack: Box::default(),
             openings: Vec::new(),
+            thing: Thing::with_capacity((photons as usize).min(1 << 20)),
             instructions: Instructions::default(),
             last: None,
         }
@@ -109,6 +112,7 @@ impl GatherScratch {
             + size_of::<Stack>()
             + self.notes.bytes()
             + self.openings.capacity() * size_of::<Opening>()
+            + self.thing.bytes()
     }
 
     /// A piece that searches since the last call needed, of a map that has pieces which are not in memory
@@ -226,7 +230,8 @@ impl PhotonMap<'_> {
         };
         scratch.instructions.run(search);
         scratch.remember(point);
-        estimate(self, &scratch.notes, normal, point, radius, gather.kernel)
+        let GatherScratch { notes, thing, .. } = scratch;
+        estimate(self, notes, thing, normal, point, radius, gather.kernel)
     }
 }
 
@@ -337,6 +342,12 @@ fn along(code: u32) -> [f32; 3] {
     [x as f32, y as f32, z as f32]
 }
 
+/// Of a smaller part of a disc it is worth while to look more closely how much there is.
+const CLOSER_PART: f64 = 0.7;
+/// Bits behind the point of the sum of weights.
+const WEIGHT_BITS: i32 = 30;
+/// A small thing is no less than this part of its disc.
+const SMALLEST_PART: f64 = 0.01;
 /// Bits behind the point of the flux sum, below the largest photon's step.
 const FRACTION_BITS: i32 = 40;
 
@@ -345,6 +356,7 @@ const FRACTION_BITS: i32 = 40;
 fn estimate(
     map: &PhotonMap<'_>,
     notes: &Notes,
+    thing: &mut Thing,
     normal: Vec3,
     point: Vec3,
     largest_radius: f32,
@@ -375,38 +387,80 @@ fn estimate(
             lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
         }
     }
+    let few = !notes.is_full() && found.len() < FEWEST_TELLING;
+    let vague = few || lit.is_vague(r2);
+    // What is vague is looked at more closely, where there is no caustic, which has an end of its own.
+    let mut small = None;
+    thing.clear();
+    let part = lit.share(r2, Kernel::Constant);
+    if (vague || part < CLOSER_PART) && radius > smallest && found.len() >= FEWEST {
+        let axes = [lit.tangents[0], lit.tangents[1], normal];
+        // Behind a slat there is another.
+        let flat = SLAB_FLOOR_M.min(SLAB_FLOOR_RADII * largest_radius);
+        for (which, (&number, &d2)) in found.iter().zip(distances).enumerate() {
+            let (block, i) = map.place(number);
+            if block.direction_flags[i] & CAUSTIC == 0 {
+                let way = Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point;
+                if way.dot(normal).abs() <= flat {
+                    thing.add(way, axes, d2, which);
+                }
+            }
+        }
+        small = thing.measure(radius);
+    }
     let mut sum = [0u128; 3];
-    for (&number, &d2) in found.iter().zip(distances) {
+    let mut weights = 0u64;
+    let mut add = |which: usize| {
+        let (number, d2) = (found[which], distances[which]);
         let (block, i) = map.place(number);
         let [red, green, blue, e] = block.flux[i];
-        if e == 0 {
-            continue;
-        }
-        let below = i32::from(exponent - e);
         let d2 = f64::from(f32::from_bits(d2));
         let weight = match kernel {
-            Kernel::Constant => {
-                for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
-                    *sum += u128::from((u64::from(mantissa) << FRACTION_BITS) >> below.min(63));
-                }
-                continue;
-            }
+            Kernel::Constant => 1.0,
             Kernel::Cone => 1.0 - d2.sqrt() / r,
             Kernel::Epanechnikov => 1.0 - d2 / r2,
         };
-        let scale = weight.max(0.0) * power_of_two(FRACTION_BITS - below);
-        for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
-            *sum += u128::from((f64::from(mantissa) * scale) as u64);
+        let weight = f64::max(weight, 0.0);
+        weights += (weight * power_of_two(WEIGHT_BITS)) as u64;
+        if e == 0 {
+            return;
         }
-    }
+        let below = i32::from(exponent - e);
+        for (sum, mantissa) in sum.iter_mut().zip([red, green, blue]) {
+            *sum += match kernel {
+                Kernel::Constant => {
+                    u128::from((u64::from(mantissa) << FRACTION_BITS) >> below.min(63))
+                }
+                _ => {
+                    let scale = weight * power_of_two(FRACTION_BITS - below);
+                    u128::from((f64::from(mantissa) * scale) as u64)
+                }
+            };
+        }
+    };
+    let disc = std::f64::consts::PI * r2;
+    let area = match small {
+        Some((area, members)) => {
+            let mut count = 0u64;
+            for which in members {
+                add(which);
+                count += 1;
+            }
+            // The mean weight on the thing, as photons tell it.
+            let mean = weights as f64 * power_of_two(-WEIGHT_BITS) / count as f64;
+            area.clamp(SMALLEST_PART * disc, disc) * mean
+        }
+        None => {
+            (0..found.len()).for_each(&mut add);
+            disc * kernel.volume() * lit.share(r2, kernel)
+        }
+    };
     let unit = power_of_two(i32::from(exponent) - 128 - 8 - FRACTION_BITS);
-    let area = std::f64::consts::PI * r2 * kernel.volume() * lit.share(r2, kernel);
-    let few = !notes.is_full() && found.len() < FEWEST_TELLING;
     Irradiance {
         rgb: sum.map(|s| (s as f64 * unit / area) as f32),
         photons: notes.photons().len() as u32,
         radius,
-        vague: few || lit.is_vague(r2),
+        vague,
     }
 }
 

@@ -30,6 +30,7 @@ mod search;
 mod tests;
 #[cfg(test)]
 mod tests_support;
+mod thing;
 
 pub use build::build_map;
 pub use cache::{IrradianceCache, Places};

@@ -1,0 +1,152 @@
+//! How large is a small thing? On legs, slats and edges a disc is mostly not there, and flux over its area is too little.
+//!
+//! Photons that are within a hop of each other, from the nearest one on, lie on one thing: across a gap there is another. The area on which
+//! they lie is that of their convex hull, and more: of `n` points in a convex region the hull has `v` corners, and a further
+//! point lies outside of it as often as it would be a corner, `v / (n + 1)` (Efron 1965, "The convex hull of a random
+//! set of points"). That is exact for the mean, whatever the region's shape: a leg, a corner, a disc.
+
+use std::cmp::Ordering;
+
+use glam::Vec3;
+
+/// Fewer photons say nothing about a thing's size.
+pub(super) const FEWEST: usize = 10;
+/// A hop, over the distance at which photons would be apart in a square grid.
+const HOP: f32 = 1.6;
+/// A hop along a line, over the distance at which photons would be apart there.
+const HOP_ALONG: f32 = 8.0;
+/// A hull's area is made larger by this factor at most.
+const MOST_CORRECTION: f64 = 3.0;
+
+/// A photon, seen from the point that is asked about.
+#[derive(Clone, Copy, Debug)]
+struct Member {
+    /// In the tangent plane, and above it, m.
+    at: [f32; 3],
+    /// Squared distance as bits.
+    d2: u32,
+    /// Which of those that were found.
+    which: u32,
+}
+
+/// Working memory of one thread.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Thing {
+    /// The first ones are on the thing.
+    members: Vec<Member>,
+    sorted: Vec<[f32; 2]>,
+    hull: Vec<[f32; 2]>,
+}
+
+impl Thing {
+    /// Room for so many photons.
+    pub(super) fn with_capacity(photons: usize) -> Self {
+        Self {
+            members: Vec::with_capacity(photons),
+            sorted: Vec::with_capacity(photons),
+            hull: Vec::with_capacity(photons + 2),
+        }
+    }
+
+    pub(super) fn bytes(&self) -> usize {
+        self.members.capacity() * size_of::<Member>()
+            + (self.sorted.capacity() + self.hull.capacity()) * size_of::<[f32; 2]>()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.members.clear();
+    }
+
+    /// A photon, of those that were found number `which`, in a direction from the point, m.
+    pub(super) fn add(&mut self, way: Vec3, [u, v, normal]: [Vec3; 3], d2: u32, which: usize) {
+        let at = [way.dot(u), way.dot(v), way.dot(normal)];
+        self.members.push(Member { at, d2, which: which as u32 });
+    }
+
+    /// The thing's area, m², as far as it lies in the disc of a radius, m, and which photons lie on it; nothing if they
+    /// are too few. The order in which photons were added does not matter.
+    pub(super) fn measure(&mut self, radius: f32) -> Option<(f64, impl Iterator<Item = usize>)> {
+        if self.members.len() < FEWEST {
+            return None;
+        }
+        let mut count = self.members.len();
+        let mut area = self.area(count);
+        loop {
+            let apart = (area as f32 / count as f32).sqrt() * HOP;
+            let hop = apart.max(HOP_ALONG * 2.0 * radius / count as f32);
+            let near = self.reach(count, hop * hop);
+            if near < FEWEST || near == count {
+                break;
+            }
+            count = near;
+            area = self.area(count);
+        }
+        Some((area, self.members[..count].iter().map(|m| m.which as usize)))
+    }
+
+    /// Brings the photons to the front, of the first `count`, that hops lead to from the nearest ones; returns how many.
+    fn reach(&mut self, count: usize, hop2: f32) -> usize {
+        let members = &mut self.members[..count];
+        let nearest = members.iter().map(|m| m.d2).min().unwrap_or(0);
+        let mut reached = 0;
+        for i in 0..count {
+            if members[i].d2 == nearest {
+                members.swap(i, reached);
+                reached += 1;
+            }
+        }
+        let mut from = 0;
+        while from < reached {
+            let a = members[from].at;
+            let rest = reached..count;
+            for i in rest {
+                let b = members[i].at;
+                let way = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+                if way[0] * way[0] + way[1] * way[1] + way[2] * way[2] <= hop2 {
+                    members.swap(i, reached);
+                    reached += 1;
+                }
+            }
+            from += 1;
+        }
+        reached
+    }
+
+    /// The area on which the first `count` photons lie, m².
+    fn area(&mut self, count: usize) -> f64 {
+        let Self { members, sorted, hull } = self;
+        sorted.clear();
+        sorted.extend(members[..count].iter().map(|m| [m.at[0], m.at[1]]));
+        sorted.sort_unstable_by(|a, b| match a[0].total_cmp(&b[0]) {
+            Ordering::Equal => a[1].total_cmp(&b[1]),
+            order => order,
+        });
+        // Andrew 1979: the lower half from left to right, then the upper one back.
+        hull.clear();
+        let mut fewest = 1;
+        for half in 0..2 {
+            for i in 0..count {
+                let p = sorted[if half == 0 { i } else { count - 1 - i }];
+                while hull.len() > fewest
+                    && turn(hull[hull.len() - 2], hull[hull.len() - 1], p) <= 0.0
+                {
+                    hull.pop();
+                }
+                hull.push(p);
+            }
+            fewest = hull.len();
+        }
+        let corners = hull.len().saturating_sub(1).min(count);
+        let first = sorted[0];
+        let twice: f64 = hull.windows(2).map(|side| turn(first, side[0], side[1])).sum();
+        let outside = corners as f64 / (count + 1) as f64;
+        0.5 * twice.max(0.0) * (1.0 / (1.0 - outside)).min(MOST_CORRECTION)
+    }
+}
+
+/// Twice the area of a triangle, positive if it turns to the left.
+fn turn(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> f64 {
+    let way = |p: [f32; 2]| [f64::from(p[0]) - f64::from(a[0]), f64::from(p[1]) - f64::from(a[1])];
+    let (b, c) = (way(b), way(c));
+    b[0] * c[1] - b[1] * c[0]
+}
