@@ -71,18 +71,19 @@ fn brute_force(
     let mut rgb = [0.0; 3];
     let mut part = part_of_disc(&found, x, n, r, gather.kernel);
     let closer = vague || part_of_disc(&found, x, n, r, Kernel::Constant) < 0.7;
-    if closer && radius > smallest {
-        if let Some((area, on_it)) = small_thing(&found, x, n, r, floor) {
-            found = on_it;
-            let weight = |d2: f64| match gather.kernel {
-                Kernel::Constant => 1.0,
-                Kernel::Cone => 3.0 * (1.0 - d2.sqrt() / r),
-                Kernel::Epanechnikov => 2.0 * (1.0 - d2 / r / r),
-            };
-            let sum: f64 = found.iter().map(|f| weight(f64::from(f32::from_bits(f.0)))).sum();
-            let share = area / (std::f64::consts::PI * r * r);
-            part = share.clamp(0.01, 1.0) * sum / found.len() as f64;
-        }
+    if closer
+        && radius > smallest
+        && let Some((area, on_it)) = small_thing(&found, x, n, r, floor)
+    {
+        found = on_it;
+        let weight = |d2: f64| match gather.kernel {
+            Kernel::Constant => 1.0,
+            Kernel::Cone => 3.0 * (1.0 - d2.sqrt() / r),
+            Kernel::Epanechnikov => 2.0 * (1.0 - d2 / r / r),
+        };
+        let sum: f64 = found.iter().map(|f| weight(f64::from(f32::from_bits(f.0)))).sum();
+        let share = area / (std::f64::consts::PI * r * r);
+        part = share.clamp(0.01, 1.0) * sum / found.len() as f64;
     }
     for (d2, _, p) in &found {
         let d = f64::from(f32::from_bits(*d2)).sqrt();

@@ -32,9 +32,9 @@ struct Member {
 /// Working memory of one thread.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Thing {
-    /// The first ones are on the thing.
     members: Vec<Member>,
-    sorted: Vec<[f32; 2]>,
+    reached: Vec<bool>,
+    waiting: Vec<u32>,
     hull: Vec<[f32; 2]>,
 }
 
@@ -43,14 +43,17 @@ impl Thing {
     pub(super) fn with_capacity(photons: usize) -> Self {
         Self {
             members: Vec::with_capacity(photons),
-            sorted: Vec::with_capacity(photons),
+            reached: Vec::with_capacity(photons),
+            waiting: Vec::with_capacity(photons),
             hull: Vec::with_capacity(photons + 2),
         }
     }
 
     pub(super) fn bytes(&self) -> usize {
         self.members.capacity() * size_of::<Member>()
-            + (self.sorted.capacity() + self.hull.capacity()) * size_of::<[f32; 2]>()
+            + self.reached.capacity()
+            + self.waiting.capacity() * size_of::<u32>()
+            + self.hull.capacity() * size_of::<[f32; 2]>()
     }
 
     pub(super) fn clear(&mut self) {
@@ -69,75 +72,75 @@ impl Thing {
         if self.members.len() < FEWEST {
             return None;
         }
-        let mut count = self.members.len();
-        let mut area = self.area(count);
-        loop {
-            let apart = (area as f32 / count as f32).sqrt() * HOP;
-            let hop = apart.max(HOP_ALONG * 2.0 * radius / count as f32);
-            let near = self.reach(count, hop * hop);
-            if near < FEWEST || near == count {
-                break;
-            }
-            count = near;
-            area = self.area(count);
-        }
-        Some((area, self.members[..count].iter().map(|m| m.which as usize)))
-    }
-
-    /// Brings the photons to the front, of the first `count`, that hops lead to from the nearest ones; returns how many.
-    fn reach(&mut self, count: usize, hop2: f32) -> usize {
-        let members = &mut self.members[..count];
-        let nearest = members.iter().map(|m| m.d2).min().unwrap_or(0);
-        let mut reached = 0;
-        for i in 0..count {
-            if members[i].d2 == nearest {
-                members.swap(i, reached);
-                reached += 1;
-            }
-        }
-        let mut from = 0;
-        while from < reached {
-            let a = members[from].at;
-            let rest = reached..count;
-            for i in rest {
-                let b = members[i].at;
-                let way = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
-                if way[0] * way[0] + way[1] * way[1] + way[2] * way[2] <= hop2 {
-                    members.swap(i, reached);
-                    reached += 1;
-                }
-            }
-            from += 1;
-        }
-        reached
-    }
-
-    /// The area on which the first `count` photons lie, m².
-    fn area(&mut self, count: usize) -> f64 {
-        let Self { members, sorted, hull } = self;
-        sorted.clear();
-        sorted.extend(members[..count].iter().map(|m| [m.at[0], m.at[1]]));
-        sorted.sort_unstable_by(|a, b| match a[0].total_cmp(&b[0]) {
-            Ordering::Equal => a[1].total_cmp(&b[1]),
+        self.members.sort_unstable_by(|a, b| match a.at[0].total_cmp(&b.at[0]) {
+            Ordering::Equal => a.at[1].total_cmp(&b.at[1]),
             order => order,
         });
+        let area = loop {
+            let (area, count) = (self.area(), self.members.len());
+            let apart = (area as f32 / count as f32).sqrt() * HOP;
+            let near = self.reach(apart.max(HOP_ALONG * 2.0 * radius / count as f32));
+            if near < FEWEST || near == count {
+                break area;
+            }
+            let mut reached = self.reached.iter();
+            self.members.retain(|_| reached.next() == Some(&true));
+        };
+        Some((area, self.members.iter().map(|m| m.which as usize)))
+    }
+
+    /// Marks the photons that hops lead to from the nearest ones; returns how many.
+    fn reach(&mut self, hop: f32) -> usize {
+        let Self { members, reached, waiting, .. } = self;
+        let nearest = members.iter().map(|m| m.d2).min().unwrap_or(0);
+        reached.clear();
+        reached.extend(members.iter().map(|m| m.d2 == nearest));
+        waiting.clear();
+        waiting.extend((0..members.len() as u32).filter(|&i| reached[i as usize]));
+        let mut count = waiting.len();
+        // Rounding is monotone: whoever is farther away along an axis is not within a hop.
+        let hop2 = hop * hop;
+        while let Some(from) = waiting.pop() {
+            let from = from as usize;
+            let a = members[from].at;
+            let mut look = |i: usize| {
+                let b = members[i].at;
+                let way = [b[0] - a[0], b[1] - a[1], b[2] - a[2]];
+                let along2 = way[0] * way[0];
+                if !reached[i] && along2 + way[1] * way[1] + way[2] * way[2] <= hop2 {
+                    reached[i] = true;
+                    waiting.push(i as u32);
+                    count += 1;
+                }
+                along2 <= hop2
+            };
+            let _ = (0..from).rev().all(&mut look);
+            let _ = (from + 1..members.len()).all(&mut look);
+        }
+        count
+    }
+
+    /// The area on which the photons lie, m².
+    fn area(&mut self) -> f64 {
+        let Self { members, hull, .. } = self;
+        let count = members.len();
         // Andrew 1979: the lower half from left to right, then the upper one back.
         hull.clear();
         let mut fewest = 1;
         for half in 0..2 {
             for i in 0..count {
-                let p = sorted[if half == 0 { i } else { count - 1 - i }];
+                let [u, v, _] = members[if half == 0 { i } else { count - 1 - i }].at;
                 while hull.len() > fewest
-                    && turn(hull[hull.len() - 2], hull[hull.len() - 1], p) <= 0.0
+                    && turn(hull[hull.len() - 2], hull[hull.len() - 1], [u, v]) <= 0.0
                 {
                     hull.pop();
                 }
-                hull.push(p);
+                hull.push([u, v]);
             }
             fewest = hull.len();
         }
         let corners = hull.len().saturating_sub(1).min(count);
-        let first = sorted[0];
+        let Some(&first) = hull.first() else { return 0.0 };
         let twice: f64 = hull.windows(2).map(|side| turn(first, side[0], side[1])).sum();
         let outside = corners as f64 / (count + 1) as f64;
         0.5 * twice.max(0.0) * (1.0 / (1.0 - outside)).min(MOST_CORRECTION)
