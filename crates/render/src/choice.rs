@@ -8,12 +8,17 @@ use enf_layout::light::{EmitterRecord, LIGHT_AREA, LightRecord};
 use enf_stage::tables::Tables;
 use glam::Vec3;
 
+use crate::sight;
+
 /// Emitters are of one part up to this gap, m; twice that, and so on, where a light would have too many parts.
 const GAP_M: f32 = 0.02;
 /// Parts of a light at most.
 const PARTS: usize = 32;
 /// Where so many lights reach a room (the outside, mostly), they are chosen as a whole: choosing takes time and bytes for each.
 const MANY: usize = 256;
+
+/// Bytes of a choice at most, with what it is seen through.
+pub(crate) const BYTES: u64 = size_of::<Choice>() as u64 + sight::BYTES;
 
 /// A light, or a part of one.
 #[derive(Clone, Debug)]

@@ -35,13 +35,16 @@ pub(crate) struct RoomReader<'a> {
 }
 
 impl RoomReader<'_> {
-    /// Bytes of a room's map, as far as it is in memory, and of the irradiance that is kept at its photons; none where no map is asked.
+    /// Bytes of what a room answers with: its lights, as long as these have a part each; where a map is asked, that, as far as it
+    /// is in memory, and the irradiance that is kept at its photons.
     pub(crate) fn bytes(&self, room: u32) -> u64 {
+        let lights = self.trace.find(ExtentKind::LightSet, room).iter().map(|e| e.count);
+        let lights = lights.sum::<u64>() * choice::BYTES;
         if self.indirect == Indirect::None {
-            return 0;
+            return lights;
         }
         let (plan, cache) = self.plan(room);
-        plan.bytes() + cache
+        lights + plan.bytes() + cache
     }
 
     /// Whether a room's map is too large to be in memory as a whole.
@@ -108,8 +111,10 @@ impl Load for RoomReader<'_> {
             self.tables.pieces(),
             self.bsp,
         );
+        let held = lights.len() as u64 * choice::BYTES;
+        let held = Some(self.budget.reserve(held, "lights of a room")?);
         if self.indirect == Indirect::None {
-            return Ok(RoomLight { map: None, lights, sights, sun });
+            return Ok(RoomLight { map: None, lights, sights, sun, _reservation: held });
         }
         let pieces = self.maps.find(ExtentKind::Map, room);
         let (plan, bytes) = self.plan(room);
@@ -147,6 +152,6 @@ impl Load for RoomReader<'_> {
             }
         };
         let map = RoomMap { map, cache, caustics, _reservation: reservation };
-        Ok(RoomLight { map: Some(map), lights, sights, sun })
+        Ok(RoomLight { map: Some(map), lights, sights, sun, _reservation: held })
     }
 }

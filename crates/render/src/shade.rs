@@ -67,6 +67,8 @@ pub(crate) struct RoomLight {
     pub(crate) sights: Sights,
     /// Whether the sun shines in: then each point asks for it, beside those.
     pub(crate) sun: bool,
+    /// Of the lights; none where there are none.
+    pub(crate) _reservation: Option<Reservation>,
 }
 
 /// How a photon map is in memory.

@@ -17,6 +17,8 @@ use crate::choice::Choice;
 const HIDDEN: f32 = 0.1;
 /// Openings that are held against the way to a light, at most: those that it shines on most.
 const OPENINGS: usize = 6;
+/// Bytes that a light takes at most.
+pub(crate) const BYTES: u64 = (size_of::<Option<Light>>() + OPENINGS * size_of::<Opening>()) as u64;
 /// Where there is more to choose from, nothing is held against anything: it would take long, and bytes.
 const MANY: usize = 1024;
 /// The softness of an opening's edge is no less, m.
