@@ -14,8 +14,8 @@ use crate::sight;
 const GAP_M: f32 = 0.02;
 /// Parts of a light at most.
 const PARTS: usize = 32;
-/// Where so many lights reach a room (the outside, mostly), they are chosen as a whole: choosing takes time and bytes for each.
-const MANY: usize = 256;
+/// Lights of a room that are divided into parts at most: those that light most of it. Choosing takes time for each.
+const DIVIDED: usize = 32;
 
 /// Bytes of a choice at most, with what it is seen through.
 pub(crate) const BYTES: u64 = size_of::<Choice>() as u64 + sight::BYTES;
@@ -47,11 +47,14 @@ impl Choice {
 
 /// The choices that a room's lights (ascending ids, shares) are: in the same order, parts by their ranges.
 pub(crate) fn choices(lights: &[(u32, f32)], tables: &Tables) -> Vec<Choice> {
+    let mut most: Vec<(f32, u32)> = lights.iter().map(|&(id, share)| (share, id)).collect();
+    most.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+    most.truncate(DIVIDED);
     let mut choices = Vec::with_capacity(lights.len());
     for &(id, share) in lights {
         let light = &tables.lights()[id as usize];
         let whole = Choice { light: id, share, part: *light, range: [0.0, 1.0] };
-        if lights.len() > MANY {
+        if !most.contains(&(share, id)) {
             choices.push(whole);
             continue;
         }

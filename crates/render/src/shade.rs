@@ -54,6 +54,9 @@ const MARK_LATER: u16 = 4;
 /// A shadow ray to a light outside the room's set.
 const MARK_OUTSIDE: u16 = 8;
 
+/// Of all importance at a point: a light with less is not worth looking through openings for.
+const LEAST_IMPORTANCE: f32 = 1.0 / 256.0;
+
 /// Steps of the five-dimensional Kronecker sequence (Roberts 2018: powers of 1/1.13472...), as 32-bit fractions.
 const KRONECKER: [u32; 5] = [0xE19B_01AB, 0xC6D1_D6C9, 0xAF36_D01F, 0x9A69_443F, 0x8814_03B9];
 
@@ -222,6 +225,8 @@ pub(crate) struct Context<'a> {
 pub(crate) struct Scratch {
     pub(crate) gather: GatherScratch,
     weights: Vec<f32>,
+    /// Importance of the room's choices.
+    importance: Vec<f32>,
     /// Rays that are followed together.
     group: Vec<TransitRecord>,
     /// Shadow and gather rays that will be.
@@ -246,6 +251,7 @@ impl Scratch {
         Self {
             gather: GatherScratch::new(photons),
             weights: Vec::new(),
+            importance: Vec::new(),
             group: Vec::new(),
             asking: Vec::new(),
             queries: Vec::new(),
@@ -947,9 +953,13 @@ impl<'a> Shader<'a> {
         }
         let to = Vec3::from(light.position) - surface.position;
         let reach = light.radius + 0.05;
+        let above = to.dot(surface.normal) + reach;
+        if above <= 0.0 {
+            return 0.0;
+        }
         let square = to.length_squared() + reach * reach;
         let distance = square.sqrt();
-        let lift = ((to.dot(surface.normal) + reach) / distance).clamp(0.0, 1.0);
+        let lift = (above / distance).clamp(0.0, 1.0);
         let intensity = match light.kind {
             LIGHT_SPOT => Some(lamp::spot(light, -to)),
             LIGHT_PROFILE => {
@@ -969,14 +979,16 @@ impl<'a> Shader<'a> {
         vector::luminance(Vec3::from(light.flux_w)) * lift * emitted / square
     }
 
-    /// What one of the room's choices, by its place there, counts at a surface when lights are chosen.
-    fn weight(&self, at: usize, surface: &Surface) -> f32 {
-        let choice = &self.lights[at];
-        let importance = self.importance(&choice.part, surface);
-        if importance > 0.0 {
-            importance * self.sights.share(at, choice.share, surface.position)
-        } else {
-            0.0
+    /// What one of the room's choices, by its place there, counts at a surface when lights are chosen. Where its importance is below
+    /// `least` it is not asked what it is seen through.
+    fn weight(&self, at: usize, importance: f32, least: f32, surface: &Surface) -> f32 {
+        match importance > 0.0 {
+            true => {
+                let choice = &self.lights[at];
+                let asked = (importance >= least).then_some(surface.position);
+                importance * self.sights.share(at, choice.share, asked)
+            }
+            false => 0.0,
         }
     }
 
@@ -1008,9 +1020,17 @@ impl<'a> Shader<'a> {
         };
         let all = context.tables.lights();
         scratch.weights.clear();
+        let mut all_of_them = 0.0f32;
+        scratch.importance.clear();
+        for choice in self.lights {
+            let importance = self.importance(&choice.part, surface);
+            all_of_them += importance;
+            scratch.importance.push(importance);
+        }
+        let least = all_of_them * LEAST_IMPORTANCE;
         let mut total = 0.0f32;
-        for at in 0..self.lights.len() {
-            total += self.weight(at, surface);
+        for (at, &importance) in scratch.importance.iter().enumerate() {
+            total += self.weight(at, importance, least, surface);
             scratch.weights.push(total);
         }
         let global = if total > 0.0 { GLOBAL_SHARE } else { 1.0 };
@@ -1046,7 +1066,8 @@ impl<'a> Shader<'a> {
             {
                 // Of a point of the part, beside one of the whole light.
                 let dense = 1.0 / self.lights[at].width();
-                probability += (1.0 - global) * dense * self.weight(at, surface) / total;
+                let weight = self.weight(at, scratch.importance[at], least, surface);
+                probability += (1.0 - global) * dense * weight / total;
             }
             if probability <= 0.0 {
                 continue;

@@ -148,11 +148,13 @@ impl Sights {
         Self(lights.iter().map(sight).collect())
     }
 
-    /// How much a light counts at a point, by its place among the choices: its `share` if it is in the room.
+    /// How much a light counts at a point, by its place among the choices: its `share` if it is in the room. Without a point, what it
+    /// counts where it seems hidden.
     #[inline]
-    pub(crate) fn share(&self, light: usize, share: f32, point: Vec3) -> f32 {
-        match self.0.get(light) {
-            Some(Some(light)) => {
+    pub(crate) fn share(&self, light: usize, share: f32, point: Option<Vec3>) -> f32 {
+        match (self.0.get(light), point) {
+            (Some(Some(_)), None) => HIDDEN,
+            (Some(Some(light)), Some(point)) => {
                 let seen: f32 = light.through.iter().map(|o| o.shows(light, point)).sum();
                 HIDDEN + (1.0 - HIDDEN) * seen.min(1.0)
             }
@@ -195,9 +197,9 @@ mod tests {
         assert!(at(&lamp(4.0), 2.0, 1.5, 0.0) < 0.5);
         let sights = Sights(vec![Some(small), None]);
         let (floor, beside) = (Vec3::new(2.0, 1.5, 0.0), Vec3::new(2.0, 4.5, 0.0));
-        assert!((sights.share(0, 0.3, floor) - 1.0).abs() < 1e-5);
-        assert!((sights.share(0, 0.3, beside) - HIDDEN).abs() < 1e-6);
-        assert_eq!(sights.share(1, 0.3, beside), 0.3);
+        assert!((sights.share(0, 0.3, Some(floor)) - 1.0).abs() < 1e-5);
+        assert!((sights.share(0, 0.3, Some(beside)) - HIDDEN).abs() < 1e-6);
+        assert_eq!(sights.share(1, 0.3, Some(beside)), 0.3);
     }
 
     #[test]
