@@ -10,17 +10,9 @@ use enf_layout::photon::PhotonRecord;
 use enf_layout::rgbe;
 use glam::Vec3;
 
-struct Random(u64);
-
-impl Random {
-    fn next(&mut self) -> f32 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        ((z ^ (z >> 31)) >> 40) as f32 / 16_777_216.0
-    }
-}
+#[path = "../tests/random/mod.rs"]
+mod random;
+use random::Random;
 
 /// Impacts on the inside of a room of 6 x 5 x 3 m and on the outside of 20 boxes in it.
 fn impacts(n: usize) -> Vec<PhotonRecord> {

@@ -209,6 +209,11 @@ impl RenderArgs {
         self.light_samples + 1 + gather
     }
 
+    /// Photons of an estimate.
+    pub(crate) fn estimate_photons(&self) -> u32 {
+        self.gather_photons.clamp(2, 1 << 20) as u32
+    }
+
     /// Rays of one job.
     pub(crate) fn job_rays(&self) -> u64 {
         (JOB_RAYS / u64::from(self.asking() + 1)).max(64)

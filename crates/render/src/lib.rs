@@ -253,7 +253,8 @@ fn bytes_in_flight(common: &CommonArgs, args: &RenderArgs, block: usize) -> u64 
     let products = args.job_rays() * u64::from(args.asking() + 1) * ray;
     // What a job has left may be of several rows of the table.
     let taken = block as u64 * ray * (jobs + 1);
-    products * (jobs + 1) + taken + Scratch::ray_bytes(args.asking()) * common.threads as u64
+    let scratch = Scratch::bytes(args.asking(), args.estimate_photons());
+    products * (jobs + 1) + taken + scratch * common.threads as u64
 }
 
 /// A picture's file.
@@ -382,7 +383,7 @@ fn render(
     let context = Context {
         tables,
         maps: room_reader.maps,
-        bsp: tables.bsp()?,
+        bsp: *room_reader.bsp,
         views,
         first_pixels: &first_pixels,
         seed: common.seed,
@@ -390,7 +391,7 @@ fn render(
         light_samples: args.light_samples,
         job_rays: args.job_rays(),
         gather: Gather {
-            photons: args.gather_photons.clamp(2, 1 << 20) as u32,
+            photons: args.estimate_photons(),
             radius: f32::INFINITY,
             kernel: args.kernel.kernel().0,
         },

@@ -239,12 +239,13 @@ impl Scratch {
     /// Rays that are followed together.
     const GROUP: usize = 512;
 
-    /// Bytes of the rays that are followed together, when each comes with so many others that ask for light.
-    pub(crate) fn ray_bytes(asking: u32) -> u64 {
+    /// Bytes of the rays that are followed together, when each comes with so many others that ask for light, and of an estimate of so
+    /// many photons.
+    pub(crate) fn bytes(asking: u32, photons: u32) -> u64 {
         let asked = size_of::<TransitRecord>() + size_of::<Query>() + size_of::<Option<Hit>>();
         // Vectors that grow by doubling.
         let asking = 2 * asking as usize * size_of::<TransitRecord>();
-        (Self::GROUP * (asked + asking)) as u64
+        (Self::GROUP * (asked + asking) + GatherScratch::new(photons).bytes()) as u64
     }
 
     pub(crate) fn new(photons: u32) -> Self {

@@ -286,6 +286,8 @@ impl Pixels {
             self.done = [begin; STEPS];
         }
         self.bands.push((exposed.band, exposed.records.len() as u32, exposed.write));
+        // No more than was reserved: growing by doubling would take more.
+        self.cells.reserve_exact(exposed.records.len());
         let pixels = exposed.records.into_iter().zip(exposed.gathered);
         self.cells.extend((begin..).zip(pixels).map(|(pixel, (record, gathered))| {
             let (view, local) = context.pixel(pixel);
@@ -326,6 +328,7 @@ impl Pixels {
             let begin = band * BAND_PIXELS;
             let from = begin + self.records.len() as u32;
             let until = done.min(begin + pixels);
+            self.records.reserve_exact((begin + pixels - from) as usize);
             let cells = (from.min(until) - self.first) as usize..(until - self.first) as usize;
             self.records.extend(self.cells[cells].iter().map(|cell| cell.record));
             if until < begin + pixels {
@@ -585,7 +588,7 @@ mod tests {
         assert!((fit.at(other).unwrap() - bright).abs().max_element() < 0.02);
     }
 
-    /// Nothing but light of one kind: surfaces that differ in nothing and edges without neighbours stay as they are.
+    /// A window is whole in its middle and ends a pixel beyond its reach; of nothing there is no root.
     #[test]
     fn windows_end_where_they_should() {
         assert_eq!(window(0, LEAST), 1.0);

@@ -76,11 +76,6 @@ impl Neighbours {
         neighbours
     }
 
-    /// How many tiles there are.
-    pub fn tiles(&self) -> usize {
-        self.first.len() - 1
-    }
-
     /// The neighbours of a tile; none for one that has too many to mean anything.
     pub fn of(&self, tile: u32) -> &[u32] {
         let tile = tile as usize;
