@@ -19,7 +19,8 @@ use clap::ValueEnum;
 use crate::neighbours::Neighbours;
 use crate::sweep::Sweep;
 
-/// A neighbour is worth loading before its time if it has this part of the work of the busiest tile.
+/// A neighbour is worth loading before its time if it has this part of the work of the busiest tile, where many tiles are in memory.
+/// Where `n` are it takes `1/n²`, for what few tiles send to and fro is soon driven out again: the only one is always the busiest.
 const WORTH_LOADING: u64 = 100;
 /// A tile of a sweep is passed over if it has less than this part of the work of the busiest tile.
 const WORTH_SWEEPING: u64 = 1000;
@@ -129,6 +130,16 @@ impl Scheduler {
         }
     }
 
+    /// Whether nothing is to be loaded because the tile whose turn it is, of those that are not `under_way`, is resident. Only the
+    /// paper's schedule knows whose turn it is; a tile loaded before its turn would drive out one that comes before it.
+    pub fn waits_for_resident(
+        &self,
+        resident: &dyn Fn(u32) -> bool,
+        under_way: &dyn Fn(u32) -> bool,
+    ) -> bool {
+        self.schedule == Schedule::MostWork && self.busiest_except(under_way).is_some_and(resident)
+    }
+
     /// The tile to load next among those that are not `excluded` (resident, or being loaded). `recent` are the
     /// resident tiles, the last used first.
     pub fn next_load(
@@ -141,7 +152,9 @@ impl Scheduler {
         if self.schedule == Schedule::MostWork {
             return Some(busiest);
         }
-        let least = (self.pending(busiest) / WORTH_LOADING).max(1);
+        let recent: Vec<u32> = recent.into_iter().collect();
+        let part = (recent.len() as u64).saturating_pow(2).clamp(1, WORTH_LOADING);
+        let least = (self.pending(busiest) / part).max(1);
         let near = recent.into_iter().find_map(|tile| {
             let near = neighbours.of(tile).iter().copied();
             near.filter(|&t| self.pending(t) >= least && !excluded(t))
@@ -259,28 +272,50 @@ mod tests {
         assert_eq!(s.next_visit([1], &|_| false), None, "2 has to be loaded");
         assert_eq!(s.next_visit([1, 2], &|_| false), Some(2));
         assert_eq!(s.next_visit([1, 2], &|tile| tile == 2), Some(1));
+        let none = |_: u32| false;
+        assert!(!s.waits_for_resident(&|tile| tile == 1, &none), "2 is to be loaded");
+        assert!(s.waits_for_resident(&|tile| tile == 2, &none), "and has its turn before 1 is");
+        assert!(
+            !s.waits_for_resident(&|tile| tile == 2, &|tile| tile == 2),
+            "1 while 2 is visited"
+        );
+        let s = Scheduler { schedule: Schedule::ResidentFirst, ..s };
+        assert!(!s.waits_for_resident(&|_| true, &none), "loaded ahead all the same");
     }
 
     #[test]
     fn neighbours_of_the_last_ones_are_loaded_first() {
-        // A suite of rooms, 0 to 4, and a large one apart.
+        // A suite of rooms, 0 to 4, a large one and others apart.
         let doors = (0..4).flat_map(|t| [(t, t + 1), (t + 1, t)]).collect();
-        let n = Neighbours::from_pairs(6, doors);
-        let mut s = Scheduler::new(Schedule::ResidentFirst, 6);
+        let n = Neighbours::from_pairs(16, doors);
+        let mut s = Scheduler::new(Schedule::ResidentFirst, 16);
         for (tile, work) in [(0, 3), (2, 10), (3, 40), (4, 40), (5, 900)] {
             s.add(tile, work);
         }
+        // These, and eight that have no doors: then a hundredth of 900 is worth a load.
         let load = |s: &Scheduler, recent: &[u32]| {
-            s.next_load(recent.iter().copied(), &n, &|tile| recent.contains(&tile))
+            let all = recent.iter().copied().chain(8..16);
+            s.next_load(all, &n, &|tile| recent.contains(&tile))
         };
         assert_eq!(load(&s, &[]), Some(5));
-        assert_eq!(load(&s, &[1]), Some(2), "3 at tile 0 are too few");
-        assert_eq!(load(&s, &[3, 1]), Some(4), "of the last one's neighbours the busiest");
-        assert_eq!(load(&s, &[0, 1]), Some(2), "then the one before");
-        assert_eq!(load(&s, &[0]), Some(5), "nothing waits next door");
+        assert_eq!(
+            load(&s, &[0, 1]),
+            Some(2),
+            "nothing waits next to 0 that is not here; 3 at tile 0 would be too few"
+        );
+        assert_eq!(load(&s, &[3, 1, 8]), Some(4), "of the last one's neighbours the busiest");
+        assert_eq!(load(&s, &[0, 8]), Some(5), "nothing waits next door");
         s.take(5);
-        assert_eq!(load(&s, &[1]), Some(2));
-        let mut s = Scheduler::new(Schedule::MostWork, 6);
+        assert_eq!(load(&s, &[1, 8]), Some(2));
+
+        // The only tile makes way for the busiest; two for a neighbour with a quarter of that.
+        s.add(5, 60);
+        let few =
+            |recent: &[u32]| s.next_load(recent.iter().copied(), &n, &|t| recent.contains(&t));
+        assert_eq!((few(&[1]), few(&[1, 8]), few(&[3, 8])), (Some(5), Some(5), Some(4)));
+        assert_eq!(few(&[1, 8, 9]), Some(2));
+
+        let mut s = Scheduler::new(Schedule::MostWork, 16);
         s.add(2, 10);
         s.add(5, 900);
         assert_eq!(load(&s, &[1]), Some(5));

@@ -425,9 +425,11 @@ impl<'a> Driver<'a> {
                 return Ok(());
             }
             let cache = &self.cache;
-            let excluded = |tile: u32| {
-                cache.is_resident(tile) || cache.is_in_flight(tile) || visits.contains_key(&tile)
-            };
+            let under_way = |tile: u32| cache.is_in_flight(tile) || visits.contains_key(&tile);
+            if scheduler.waits_for_resident(&|tile| cache.is_resident(tile), &under_way) {
+                return Ok(());
+            }
+            let excluded = |tile: u32| cache.is_resident(tile) || under_way(tile);
             let next = self.next_load(&excluded);
             let Some(tile) = next else { return Ok(()) };
             if !self.cache.ask(tile, &|t| !stays(t))? {
