@@ -206,6 +206,33 @@ fn run_refuses_an_unknown_view() {
     assert!(said.contains("lobby"), "{said}");
 }
 
+/// What a picture is called and what is asked for with `--formats` must not differ in silence.
+#[test]
+fn a_picture_whose_name_is_no_wanted_format() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnished(dir.path());
+    let out = dir.path().join("out");
+    let flags =
+        ["--photons-per-light", "100", "--view", "room:0", "--width", "16", "--height", "12"];
+    ok(bin("enfilade").arg("run").arg(&scene).arg("-o").arg(&out).args(flags));
+    let store = std::fs::read_dir(&out)
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .find(|path| path.extension().is_some_and(|e| e == "enf"))
+        .unwrap();
+    let picture = |name: &str, formats: &str| {
+        let mut render = bin("enf-render");
+        render.arg(&store).args(["--view", "room:0", "--width", "16", "--height", "12"]);
+        render.arg("-o").arg(dir.path().join(name)).args(["--formats", formats, "--force"]);
+        render
+    };
+    let said = fails(&mut picture("x.png", "falsecolour"), 2);
+    assert!(said.contains("x.png") && said.contains("--formats"), "{said}");
+    assert!(!dir.path().join("x.png").exists());
+    ok(&mut picture("x.png", "hdr,png"));
+    assert!(dir.path().join("x.png").exists());
+}
+
 #[test]
 fn output_that_cannot_be_written() {
     let dir = tempfile::tempdir().unwrap();

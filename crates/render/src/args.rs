@@ -93,6 +93,9 @@ pub enum Format {
     Falsecolour,
 }
 
+/// What `--formats` is when it is not given.
+pub(crate) const DEFAULT_FORMATS: [Format; 2] = [Format::Png, Format::Exr];
+
 impl Format {
     /// What the file of a view is called.
     pub(crate) fn file(self, view: &str) -> String {
@@ -179,13 +182,13 @@ pub struct RenderArgs {
     /// pictures are the same
     #[arg(long, value_name = "SIZE", hide = true, value_parser = parse_size)]
     pub map_memory: Option<u64>,
-    /// Files per view
+    /// Files per view, in a folder; one picture's name says itself what it is
     #[arg(
         long,
         value_enum,
         value_name = "FORMAT",
         value_delimiter = ',',
-        default_value = "png,exr"
+        default_values_t = DEFAULT_FORMATS
     )]
     pub formats: Vec<Format>,
     /// Exposure of PNG pictures: auto, a factor of linear radiance (W/m2/sr), or ev:N, an exposure value at ISO 100

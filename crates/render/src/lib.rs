@@ -41,6 +41,7 @@ use enf_store::{
 use enf_trace::queue_shape;
 use serde_json::Value;
 
+use args::DEFAULT_FORMATS;
 pub use args::{Cli, Exposure, Format, Indirect, ProjectionArg, RenderArgs, ToneArg};
 pub use camera::{Camera, View};
 use driver::{Channels, Done, Driver, Manner, Shown, Task};
@@ -277,6 +278,13 @@ fn outputs(output: &Path, formats: &[Format], views: &[View]) -> Result<Vec<Vec<
                 views.len()
             ))
             .with_hint("with several views -o is a folder"));
+        }
+        if !formats.contains(&format) && formats != DEFAULT_FORMATS {
+            return Err(Failure::usage(format!(
+                "{} is a picture in a format that is not among --formats",
+                output.display()
+            ))
+            .with_hint("-o NAME.falsecolour.png, .png, .exr or .hdr says which by itself; for --formats it is a folder"));
         }
         if let Some(parent) = output.parent().filter(|p| !p.as_os_str().is_empty()) {
             std::fs::create_dir_all(parent).at("create", parent)?;
