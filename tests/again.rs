@@ -212,20 +212,26 @@ fn signal(child: &Child, signal: Signal) {
     kill_process(pid, signal).unwrap();
 }
 
-/// Delays that are the same in every run of the test.
-fn delays(seed: u64) -> impl Iterator<Item = Duration> {
+/// Delays that are the same parts of the time that a `whole` run takes in every run of the test: the first one is shorter than that.
+fn delays(seed: u64, whole: Duration) -> impl Iterator<Item = Duration> {
     let mut state = seed;
     std::iter::repeat_with(move || {
         state =
             state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-        Duration::from_micros(1000 + (state >> 33) % 120_000)
+        whole * (25 + (state >> 33) as u32 % 725) / 1000
     })
 }
 
 /// Kills a stage at many moments; it must come to its end all the same, and to the same one.
-fn survives(stage: &str, store: &Path, flags: &[&str], how: Signal, seed: u64) -> (u32, u32) {
+fn survives(
+    stage: &str,
+    store: &Path,
+    flags: &[&str],
+    how: Signal,
+    (seed, whole): (u64, Duration),
+) -> (u32, u32) {
     let (mut killed, mut resumed) = (0, 0);
-    let mut delays = delays(seed);
+    let mut delays = delays(seed, whole);
     // Ever more patient, so that it ends however slow the machine is.
     for attempt in 0u32..60 {
         let mut child = start(stage, store, flags);
@@ -266,13 +272,15 @@ fn a_killed_trace_goes_on_to_the_same_photons() {
     ];
     let whole = dir.path().join("whole.enf");
     copy_store(&store, &whole, &[]);
+    let began = Instant::now();
     ok(bin("enf-trace").arg(&whole).args(flags));
+    let takes = began.elapsed();
     let photons = digest(&whole, "photons");
     let mut resumed = 0;
     for seed in 1..4 {
         let tried = dir.path().join("tried.enf");
         copy_store(&store, &tried, &[]);
-        let (killed, went_on) = survives("enf-trace", &tried, &flags, Signal::KILL, seed);
+        let (killed, went_on) = survives("enf-trace", &tried, &flags, Signal::KILL, (seed, takes));
         assert!(killed > 0, "not killed at all");
         resumed += went_on;
         assert_eq!(digest(&tried, "photons"), photons, "seed {seed}");
@@ -343,10 +351,12 @@ fn killed_anywhere_the_whole_chain_comes_to_the_same_picture() {
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::piped());
         command
     };
+    let began = Instant::now();
     ok(&mut run(&whole));
+    let takes = began.elapsed();
     let tried = dir.path().join("tried");
     let mut killed = 0;
-    let mut delays = delays(7);
+    let mut delays = delays(7, takes);
     loop {
         let mut child = run(&tried).spawn().unwrap();
         let until = Instant::now() + delays.next().unwrap() * (1 + killed / 2);

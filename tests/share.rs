@@ -181,3 +181,49 @@ fn a_store_is_shared_in_one_way_at_a_time() {
     end(first);
     outcome(&store);
 }
+
+/// A process that is alone says so: one that comes with a share is refused, also where the first one goes on with what was shared before.
+#[test]
+fn nobody_joins_who_is_alone() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = tiles(dir.path());
+    let trace = |share: &[&str]| {
+        let mut command = Command::new(bin_path("enf-trace"));
+        command.arg(&store).args(["--photons-per-light", "20M", "--epoch", "0.05", "--quiet"]);
+        command.args(["--threads", "1"]).args(share);
+        command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
+        command
+    };
+    let wait_for = |name: &str| {
+        while !store.join(name).exists() {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    };
+    let stop = |mut child: Child| {
+        assert!(child.try_wait().unwrap().is_none(), "20M photons a light take longer than that");
+        child.kill().unwrap();
+        child.wait().unwrap();
+    };
+    let alone = trace(&[]).spawn().unwrap();
+    wait_for("trace.000.000.dat");
+    let said = fails(&mut trace(&["--share", "1/2"]), 5);
+    assert!(said.contains("trace.000.journal"), "{said}");
+    stop(alone);
+
+    // What process 0 of 2 has begun, one process goes on with; nobody may be the other half of the two then.
+    let half = trace(&["--share", "0/2"]).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    stop(half);
+    let alone = trace(&[]).spawn().unwrap();
+    std::thread::sleep(Duration::from_millis(300));
+    let said = fails(&mut trace(&["--share", "1/2"]), 5);
+    assert!(said.contains("trace.000.journal"), "{said}");
+    stop(alone);
+    // And the other way round.
+    let half = trace(&["--share", "1/2"]).spawn().unwrap();
+    wait_for("trace.001.000.dat");
+    std::thread::sleep(Duration::from_millis(300));
+    let said = fails(&mut trace(&[]), 5);
+    assert!(said.contains("trace.001.journal"), "{said}");
+    stop(half);
+}

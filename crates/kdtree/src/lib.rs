@@ -83,7 +83,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let store = StoreDir::open(&cli.store)?;
     let mut session = Session::open(common)?;
     let tables = Tables::open(&store, &session.budget)?;
-    let photons = StageReader::open(&store, StageKind::Trace)?;
+    let photons = StageReader::open(&store, StageKind::Trace)?.with_budget(&session.budget)?;
     let rooms = session::rooms_of(&selection, tables.rooms().len())?;
 
     let mut identity = session::inherit(&store, StageKind::Trace)?;

@@ -38,7 +38,7 @@ use enf_stage::{
 use enf_store::{
     Identity, MemoryBudget, StageReader, StageState, StageWriter, StoreDir, StoreError,
 };
-use enf_trace::queue_shape;
+use enf_trace::{jobs_at_once, queue_shape};
 use serde_json::Value;
 
 use args::DEFAULT_FORMATS;
@@ -68,13 +68,18 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     let budget = session.budget.clone();
     let tables = Tables::open(&store, &budget)?;
     session::rooms_of(&selection, tables.rooms().len())?;
-    let grid = session::complete(&store, StageKind::Grid, &tables, &STRUCTURES, |room| {
+    let grid = session::complete(&store, StageKind::Grid, &budget, &tables, &STRUCTURES, |room| {
         session::tiles_of(&tables, room)
     })?;
-    let trace = StageReader::open(&store, StageKind::Trace)?;
-    let maps = session::complete(&store, StageKind::Kdtree, &tables, &[ExtentKind::Map], |room| {
-        room..room + 1
-    })?;
+    let trace = StageReader::open(&store, StageKind::Trace)?.with_budget(&budget)?;
+    let maps = session::complete(
+        &store,
+        StageKind::Kdtree,
+        &budget,
+        &tables,
+        &[ExtentKind::Map],
+        |room| room..room + 1,
+    )?;
     let reader = TileReader {
         partition: &tables.partition,
         grid: &grid,
@@ -167,7 +172,7 @@ struct Fixed {
 impl Fixed {
     fn new(cli: &Cli, tables: &Tables, views: &[View]) -> Self {
         let (common, args) = (&cli.common, &cli.render);
-        let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
+        let (rows, block) = queue_shape(&cli.queue, common, size_of::<TransitRecord>());
         let pixels: u32 = views.iter().map(|v| v.camera.pixels()).sum();
         let widest = views.iter().map(|v| v.camera.width).max().unwrap_or(0);
         let pixels = pixels.min(BAND_PIXELS);
@@ -176,7 +181,8 @@ impl Fixed {
                 + bytes_in_flight(common, args, block),
             band: bands::bytes(pixels),
             smoothing: if args.smooths() { smooth::bytes(pixels, widest) } else { 0 },
-            neighbours: Neighbours::bytes(tables),
+            neighbours: Neighbours::bytes(tables)
+                + Scheduler::memory_bytes(tables.tiles().len() as u32),
         }
     }
 
@@ -240,11 +246,6 @@ fn refuse_if_hopeless(
             false => format!("{enough}, or --indirect none, which needs no map"),
         }
     }))
-}
-
-/// Jobs that are handed out and not done: each thread has one at hand while it works at one, and the main thread one to give.
-fn jobs_at_once(common: &CommonArgs) -> usize {
-    common.threads * 3
 }
 
 /// Rays and products of the jobs under way.
@@ -378,7 +379,7 @@ fn render(
     let budget = session.budget.clone();
     let tables = room_reader.tables;
     let fixed = Fixed::new(cli, tables, views);
-    let (rows, block) = queue_shape(&cli.queue, common.memory, size_of::<TransitRecord>());
+    let (rows, block) = queue_shape(&cli.queue, common, size_of::<TransitRecord>());
     let _rays = budget.reserve(fixed.rays, "rays in transit and in flight")?;
     let _neighbours = budget.reserve(fixed.neighbours, "neighbours of tiles")?;
 

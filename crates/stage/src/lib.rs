@@ -6,9 +6,9 @@
 //! record of what it did ([`Stats`], [`Timeline`]) and ends with a code that a batch system can
 //! branch on ([`run_main`], [`Failure`]).
 //!
-//! Beside the manners live the three small machines that every streaming stage is built around:
-//! the table of incoming records ([`RowTable`]), the pool of blocks that feeds it ([`BlockPool`])
-//! and the choice of what to visit next ([`Scheduler`]). None of them knows what a photon is.
+//! Beside the manners live the small machines that every streaming stage is built around: the tiles in
+//! memory ([`resident::TileCache`]), the table of incoming records ([`RowTable`]) and the choice of what to visit
+//! next ([`Scheduler`], [`Sweep`]). None of them knows what a photon is.
 #![forbid(unsafe_code)]
 
 pub mod args;
@@ -19,7 +19,6 @@ pub mod memory;
 pub mod neighbours;
 pub mod ordered;
 mod pace;
-pub mod pool;
 pub mod progress;
 pub mod resident;
 pub mod rowtable;
@@ -37,7 +36,6 @@ pub use ids::{IdSink, IdSource, Selection, stdin_ids};
 pub use interrupt::interrupted;
 pub use memory::{fixed_overhead_bytes, peak_resident, resident};
 pub use neighbours::Neighbours;
-pub use pool::{Block, BlockPool};
 pub use progress::{Progress, detail, say, warn};
 pub use rowtable::RowTable;
 pub use scheduler::{Schedule, Scheduler};

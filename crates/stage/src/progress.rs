@@ -118,11 +118,6 @@ impl Progress {
         self.update(|meter| meter.resume(n, share.clamp(0.0, 1.0), Instant::now()));
     }
 
-    /// The total is now known, or has changed.
-    pub fn set_total(&self, total: u64) {
-        self.update(|meter| meter.total = Some(total));
-    }
-
     /// A few words behind the numbers, such as the room being worked on.
     pub fn message(&self, text: &str) {
         match &self.0 {
@@ -422,7 +417,6 @@ mod tests {
         let progress = Progress::new(&never, "x", Some(3), "rooms");
         assert!(matches!(progress.0, Shown::Nothing));
         progress.set(1);
-        progress.set_total(2);
         progress.message("y");
         progress.finish();
         bar("x", true).finish_and_clear();

@@ -50,12 +50,6 @@ impl TileData {
     pub fn coordinates(&self) -> &[u8] {
         self.coordinates.as_ref().map_or(&[], |c| &c[..])
     }
-
-    /// Bytes held.
-    pub fn bytes(&self) -> u64 {
-        let optional = |b: &Option<Buffer>| b.as_ref().map_or(0, |b| b.len());
-        (optional(&self.mesh) + self.structure.len() + optional(&self.coordinates)) as u64
-    }
 }
 
 /// Reads tiles.
@@ -77,17 +71,6 @@ impl TileReader<'_> {
             return Ok((StructureKind::Grid, self.grid.single(ExtentKind::Grid, tile)?));
         }
         Ok((StructureKind::Bvh, self.grid.single(ExtentKind::Bvh, tile)?))
-    }
-
-    /// Bytes that the tile needs while it is loaded; it may need less then.
-    ///
-    /// # Errors
-    /// When the store does not have it.
-    pub fn bytes(&self, tile: u32) -> Result<u64> {
-        let coordinates = self.partition.find(ExtentKind::Coordinates, tile);
-        Ok(self.partition.single(ExtentKind::Geometry, tile)?.raw_bytes
-            + self.structure(tile)?.1.raw_bytes
-            + coordinates.iter().map(|c| c.raw_bytes).sum::<u64>())
     }
 
     /// Bytes that loading the tile reserves at any moment, at most.

@@ -6,8 +6,8 @@
 //! is written and given away. So memory is `rows x block`, whatever the number of tiles, and the
 //! disk sees long writes.
 //!
-//! The table has one owner, the writer thread, and no locks: tracers send it whole blocks (see
-//! [`crate::BlockPool`]). It knows nothing of disks; where a row goes is the caller's `spill`.
+//! The table has one owner, the recorder thread, and no locks: tracers send it what a job has produced through
+//! a channel. It knows nothing of disks; where a row goes is the caller's `spill`.
 
 use std::collections::HashMap;
 use std::vec::Drain;

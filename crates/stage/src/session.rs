@@ -228,10 +228,12 @@ pub fn inherit(store: &StoreDir, from: StageKind) -> Result<Identity> {
 /// to a room.
 ///
 /// # Errors
-/// Exit 4 when it is missing, damaged or unfinished; then the first room that it lacks is named.
+/// Exit 4 when it is missing, damaged or unfinished; then the first room that it lacks is named. Exit 3 when its table of extents does
+/// not fit.
 pub fn complete(
     store: &StoreDir,
     stage: StageKind,
+    budget: &MemoryBudget,
     tables: &Tables,
     kinds: &[ExtentKind],
     of: impl Fn(u32) -> Range<u32>,
@@ -251,7 +253,7 @@ pub fn complete(
             })
             .with_hint(format!("run enf-{name} again, it goes on where it stopped")))
         }
-        other => Ok(other?),
+        other => Ok(other?.with_budget(budget)?),
     }
 }
 

@@ -86,7 +86,7 @@ impl Tables {
     /// # Errors
     /// Exit 4 when the partition is missing, unfinished or corrupt, exit 3 when the tables do not fit.
     pub fn open(store: &StoreDir, budget: &MemoryBudget) -> Result<Self> {
-        let partition = StageReader::open(store, StageKind::Partition)?;
+        let partition = StageReader::open(store, StageKind::Partition)?.with_budget(budget)?;
         let read = |kind| -> Result<Buffer> {
             let extent = partition.single(kind, 0)?;
             Ok(partition.read(extent, budget, "scene tables")?)

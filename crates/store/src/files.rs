@@ -117,6 +117,16 @@ impl Named {
             .map(|file| Self { file, path })
     }
 
+    /// Opens a file that is there for reading and writing, which a network file system wants of who locks it.
+    pub(crate) fn open_to_lock(path: PathBuf) -> Result<Self, StoreError> {
+        File::options()
+            .read(true)
+            .write(true)
+            .open(&path)
+            .map_err(StoreError::io("open", &path))
+            .map(|file| Self { file, path })
+    }
+
     pub(crate) fn len(&self) -> Result<u64, StoreError> {
         Ok(self.file.metadata().map_err(StoreError::io("stat", &self.path))?.len())
     }

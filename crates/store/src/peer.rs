@@ -159,7 +159,8 @@ impl Peer {
     /// [`StoreError::Io`].
     pub fn is_live(&self) -> Result<bool, StoreError> {
         let path = self.journal.path.clone();
-        match Named::open(path, "it was there a moment ago")?.lock() {
+        // A network file system locks exclusively only what may be written.
+        match Named::open_to_lock(path)?.lock() {
             Ok(_) => Ok(false),
             Err(StoreError::Busy { .. }) => Ok(true),
             Err(error) => Err(error),

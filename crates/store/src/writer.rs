@@ -21,7 +21,7 @@ use crate::peer::Peer;
 use crate::reader;
 use crate::replay::{self, Key, Ranges, State, Tail, blank, finish, key, record_of};
 use crate::seal::{self, SealedFile};
-use crate::{Buffer, Identity, MemoryBudget, Reservation, StoreDir, StoreError};
+use crate::{Buffer, Identity, MemoryBudget, StoreDir, StoreError};
 
 /// What a live extent or a pending record takes in memory, rounded up.
 const ENTRY: u64 = 160;
@@ -59,8 +59,6 @@ struct Log {
     hash: Option<Box<Xxh3>>,
     /// A sync failed: what is on the disk is unknown until the journal is replayed.
     failed: bool,
-    budget: MemoryBudget,
-    memory: Option<Reservation>,
 }
 
 impl StageWriter {
@@ -107,20 +105,17 @@ impl StageWriter {
             }
             Err(journal) => (Log::begin(store, stage, process, journal, identity)?, false),
         };
-        let encoder = Encoder::new(&log.budget);
+        let encoder = Encoder::new(&MemoryBudget::new(u64::MAX));
         Ok(Self { log, encoder, resumed })
     }
 
-    /// Counts buffers, tables and compressors in this budget from now on.
-    ///
-    /// # Errors
-    /// [`StoreError::Budget`] when it has no place for them.
-    pub fn with_budget(mut self, budget: MemoryBudget) -> Result<Self, StoreError> {
-        self.encoder = Encoder::new(&budget);
-        self.log.budget = budget;
-        self.log.memory = None;
-        self.log.count_memory()?;
-        Ok(self)
+    /// Bytes of the buffer.
+    pub const BUFFER_BYTES: u64 = WINDOW as u64;
+
+    /// What the writer holds: its buffer, and a line for each live extent and each record that is not committed.
+    pub fn memory_bytes(&self) -> u64 {
+        let entries = self.log.state.live.len() + self.log.pending.len();
+        Self::BUFFER_BYTES + entries as u64 * ENTRY
     }
 
     /// Whether an earlier run had begun this stage.
@@ -383,8 +378,6 @@ impl Log {
             unsynced: false,
             hash: None,
             failed: false,
-            budget: MemoryBudget::new(u64::MAX),
-            memory: None,
         }
     }
 
@@ -446,17 +439,6 @@ impl Log {
         self.state.records + self.pending.len() as u64
     }
 
-    fn count_memory(&mut self) -> Result<(), StoreError> {
-        let entries = self.state.live.len() + self.pending.len() + 1;
-        let needed = WINDOW as u64 + (entries as u64).next_multiple_of(1024) * ENTRY;
-        match &mut self.memory {
-            Some(memory) if memory.bytes() >= needed => {}
-            Some(memory) => memory.resize(needed)?,
-            none => *none = Some(self.budget.reserve(needed, "stage writer")?),
-        }
-        Ok(())
-    }
-
     fn check_usable(&self) -> Result<(), StoreError> {
         if !self.failed {
             return Ok(());
@@ -475,7 +457,6 @@ impl Log {
         codec: Codec,
     ) -> Result<Extent, StoreError> {
         self.check_usable()?;
-        self.count_memory()?;
         let stored_bytes = stored.len() as u64;
         // A slice is shorter than 2^63 bytes: this cannot overflow.
         let padding =

@@ -5,6 +5,7 @@
 
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use std::vec::IntoIter;
 
@@ -13,7 +14,7 @@ use enf_stage::resident::{TileCache, TileData};
 use enf_stage::{
     CommonArgs, Failure, Lane, Neighbours, Progress, Result, Scheduler, Sweep, interrupt, say,
 };
-use enf_store::{Buffer, Extent, StoreError};
+use enf_store::{Buffer, Extent, Reservation, StoreError};
 
 use crate::recorder::{Message, Status, Taken};
 use crate::share::{self, Share};
@@ -27,8 +28,6 @@ const VISIT_PHOTONS: u64 = 1 << 20;
 const EPOCH_BYTES: u64 = 256 << 20;
 /// With fewer tiles in memory, no part of a building is there as a whole.
 const FEW_TILES: usize = 13;
-/// Who is waited for is said this often.
-const SAY_EVERY: Duration = Duration::from_secs(10);
 
 /// What a tracing thread says when a job is done: the tile, and what went wrong.
 pub(crate) type Done = (u32, Result<()>);
@@ -101,6 +100,11 @@ pub(crate) struct Driver<'a> {
     /// Flux of all lights over all channels, W.
     all_w: f64,
     commit_due: bool,
+    committed_at: Instant,
+    /// The recorder has failed: nothing more is to be begun.
+    failed: Arc<AtomicBool>,
+    /// For what grows with the trace.
+    tables: Reservation,
 }
 
 impl<'a> Driver<'a> {
@@ -114,6 +118,8 @@ impl<'a> Driver<'a> {
         cursors: BTreeMap<u32, u64>,
         scheduler: Scheduler,
         lane: Lane,
+        failed: Arc<AtomicBool>,
+        tables: Reservation,
     ) -> Self {
         let lights = context.tables.lights();
         let total = context.counts.total(lights.len());
@@ -138,6 +144,9 @@ impl<'a> Driver<'a> {
             progress,
             all_w: lights.iter().flat_map(|l| l.flux_w.map(f64::from)).sum(),
             commit_due: false,
+            committed_at: Instant::now(),
+            failed,
+            tables,
         }
     }
 
@@ -174,7 +183,8 @@ impl<'a> Driver<'a> {
     fn work(&mut self) -> Result<()> {
         loop {
             let signal = interrupt::interrupted();
-            let stop = self.commit_due || signal.is_some();
+            let failed = self.failed.load(Ordering::Relaxed);
+            let stop = self.commit_due || failed || signal.is_some();
             self.hand_out(stop)?;
             if !stop {
                 self.load_ahead()?;
@@ -239,6 +249,7 @@ impl<'a> Driver<'a> {
         let _span = self.lane.io("commit", 0u32);
         self.ask(|reply| Message::Commit { reply })??;
         self.commit_due = false;
+        self.committed_at = Instant::now();
         Ok(())
     }
 
@@ -350,6 +361,7 @@ impl<'a> Driver<'a> {
         result?;
         let Some(visit) = self.visits.get_mut(&tile) else { return Ok(()) };
         visit.flying -= 1;
+        self.commit_due |= self.committed_at.elapsed() > self.manner.epoch;
         match visit.closed && visit.flying == 0 {
             true => self.end(tile),
             false => Ok(()),
@@ -368,7 +380,8 @@ impl<'a> Driver<'a> {
         let cursor = (starts > 0).then_some((tile, cursor));
         let unused = (tile, unused);
         let mut status = self.ask(|reply| Message::Visited { consumed, unused, cursor, reply })?;
-        let (uncommitted, committed_at) = (status.uncommitted, status.committed_at);
+        self.commit_due |= status.uncommitted > EPOCH_BYTES;
+        self.make_room_for_tables(status.tables)?;
         let (finished_w, emitted_w) = (status.finished_w, status.emitted_w);
         self.progress.at(status.finished, self.share_of_flux(finished_w));
         self.progress.message(&format!(
@@ -382,9 +395,26 @@ impl<'a> Driver<'a> {
         if self.manner.share.of > 1 {
             self.take_news(false)?;
         }
-        self.commit_due |= uncommitted > EPOCH_BYTES
-            || (uncommitted > 0 && committed_at.elapsed() > self.manner.epoch);
         Ok(())
+    }
+
+    /// What grows with the trace takes the place of tiles.
+    fn make_room_for_tables(&mut self, bytes: u64) -> Result<()> {
+        // Not a little each time.
+        let bytes = bytes.next_multiple_of(256 << 10);
+        loop {
+            if bytes <= self.tables.bytes() {
+                return Ok(());
+            }
+            match self.tables.resize(bytes) {
+                Err(_) if self.cache.make_way()? => {}
+                Err(_) if self.flying > 0 => {
+                    let done = self.channels.finished.recv().map_err(|_| tracers_stopped())?;
+                    self.done(done)?;
+                }
+                other => return Ok(other?),
+            }
+        }
     }
 
     /// Puts what was parked into the schedule.
@@ -480,7 +510,7 @@ impl<'a> Driver<'a> {
                 self.commit()?;
                 return Err(Failure::interrupted(signal));
             }
-            if said.elapsed() > SAY_EVERY {
+            if said.elapsed() > share::SAY_EVERY {
                 said = Instant::now();
                 say(self.common, self.manner.share.waits_for(late, &running));
             }

@@ -11,6 +11,7 @@ mod recorder;
 mod share;
 mod tracer;
 
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -36,13 +37,17 @@ use enf_transport::photon::Group;
 use enf_transport::sky::{Daylight, MOST_AIMED, Shell};
 
 pub use counts::{Counts, PhotonCount};
-use driver::{Channels, Driver, JOB_PHOTONS, Manner};
+use driver::{Channels, Driver, Manner};
 pub use recorder::Totals;
 use recorder::{Message, Recorder};
 pub use share::Share;
 pub use tracer::add_ledger;
-use tracer::{Context, Job};
+use tracer::{Context, Job, Products};
 
+/// Blocks for what the loaders hold for a moment, beside those of the jobs.
+const LOADING_BLOCKS: usize = 2;
+/// Messages to the recorder that may wait.
+const MESSAGES: usize = 2;
 /// Most time between commits when others wait for them.
 const SHARED_EPOCH: Duration = Duration::from_secs(1);
 /// Default rows and records per row of the table of incoming photons (the paper, section 7.2).
@@ -161,9 +166,14 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     let mut session = Session::open(common)?;
     let tables = Tables::open(&store, &session.budget)?;
     session::rooms_of(&selection, tables.rooms().len())?;
-    let grid = session::complete(&store, StageKind::Grid, &tables, &STRUCTURES, |room| {
-        session::tiles_of(&tables, room)
-    })?;
+    let grid = session::complete(
+        &store,
+        StageKind::Grid,
+        &session.budget,
+        &tables,
+        &STRUCTURES,
+        |room| session::tiles_of(&tables, room),
+    )?;
     if tables.lights().is_empty() {
         return Err(Failure::input(format!("{} has no light", cli.store.display()))
             .with_hint("partition it again with --ceiling-lights 500lx, or give a material Ke"));
@@ -186,8 +196,8 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     let rooms = tables.rooms().len() as u32;
     let share = cli.share;
     // Refused before anything is begun.
-    let plan = || Queues::reserve(cli, &session.budget, &tables, &grid);
-    let queues =
+    let plan = || Plan::make(cli, &session.budget, &tables, &grid);
+    let planned =
         if session::may_work(&store, StageKind::Trace, cli.force) { Some(plan()?) } else { None };
     match session::begin(&store, StageKind::Trace, share.process, &identity, cli.force)? {
         Begin::Finished => {
@@ -197,12 +207,12 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
             report(cli, &mut session, &tables, &totals);
         }
         Begin::Work(writer) => {
-            let queues = match queues {
-                Some(queues) => queues,
+            let plan = match planned {
+                Some(plan) => plan,
                 None => plan()?,
             };
             let totals =
-                trace(cli, &mut session, &tables, &grid, (*writer, &identity), &queues, &counts)?;
+                trace(cli, &mut session, &tables, &grid, (*writer, &identity), plan, &counts)?;
             report(cli, &mut session, &tables, &totals);
         }
     }
@@ -213,61 +223,79 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<serde_json::
     Ok(Some(stats))
 }
 
-/// Rows and records per row that fit a share of the budget; explicit flags are taken as they are.
-pub fn queue_shape(queue: &QueueArgs, budget: u64, record: usize) -> (usize, usize) {
+/// Jobs that are handed out and not done, at most: each thread has one at hand while it works at one, and the main thread one to give.
+pub fn jobs_at_once(common: &CommonArgs) -> usize {
+    common.threads * 3
+}
+
+/// Rows and records per row that fit a share of the budget, together with the blocks that are read back for jobs; explicit flags are
+/// taken as they are.
+pub fn queue_shape(queue: &QueueArgs, common: &CommonArgs, record: usize) -> (usize, usize) {
     let rows = queue.queue_rows.map_or(QUEUE_ROWS, |r| r as usize);
-    let fits = (budget as usize / 8) / record / rows;
+    let blocks = rows + jobs_at_once(common) + LOADING_BLOCKS;
+    let fits = (common.memory as usize / 8) / record / blocks;
     let block = queue.queue_block.map_or(QUEUE_BLOCK.min(fits.max(64)), |b| (b as usize).max(1));
     (rows, block)
 }
 
-/// The tables' shapes, and their memory.
-struct Queues {
+/// What a trace needs beside its tiles: the tables' shapes, the daylight, and the memory of all.
+struct Plan {
     rows: usize,
     block: usize,
     photon_rows: usize,
     photon_block: usize,
-    _reservations: [Reservation; 4],
+    daylight: Option<Daylight>,
+    /// For what grows with the trace.
+    tables: Reservation,
+    _reservations: Vec<Reservation>,
 }
 
-impl Queues {
-    /// Reserves them, if the largest tile fits beside them.
-    fn reserve(
-        cli: &Cli,
-        budget: &MemoryBudget,
-        tables: &Tables,
-        grid: &StageReader,
-    ) -> Result<Self> {
+impl Plan {
+    /// Reserves it all, if the largest tile fits beside it.
+    fn make(cli: &Cli, budget: &MemoryBudget, tables: &Tables, grid: &StageReader) -> Result<Self> {
         let (common, rooms) = (&cli.common, tables.rooms().len());
-        let (rows, block) =
-            queue_shape(&cli.trace.queue, common.memory, size_of::<TransitRecord>());
+        let (rows, block) = queue_shape(&cli.trace.queue, common, size_of::<TransitRecord>());
         let photon_rows = rows.min(rooms).clamp(1, 48);
         let photon_block = (common.memory as usize / 12 / size_of::<PhotonRecord>() / photon_rows)
             .clamp(64, 10_000);
-        // Products of the jobs in flight: some impacts per photon, all parked at worst.
-        let per_job = JOB_PHOTONS
-            * (size_of::<PhotonRecord>() as u64 * 8 + size_of::<TransitRecord>() as u64);
         let transit = RowTable::<TransitRecord>::memory_bytes(rows, block);
         let photons = RowTable::<PhotonRecord>::memory_bytes(photon_rows, photon_block);
         let threads = common.threads as u64;
-        let jobs = per_job * (threads + 4) + Group::BYTES * threads;
+        // Of each thread, those that wait for the recorder, and those at which it works.
+        let products = Products::MOST_BYTES * (threads + MESSAGES as u64 + 1);
         let others = if cli.share.of > 1 { Peer::BYTES } else { 0 };
-        let queues = Self {
+        let (daylight, sky) = daylight(tables, budget)?;
+        let tiles = tables.tiles().len() as u32;
+        let aimed = if daylight.is_some() { Group::SIZE * MOST_AIMED } else { 0 };
+        let aimed = (aimed * size_of::<TransitRecord>()) as u64 * threads;
+        let mut reservations = vec![
+            budget.reserve(transit, "table of incoming photons")?,
+            budget.reserve(photons, "rows of stored photons")?,
+            budget.reserve(products + Group::BYTES * threads, "photons in flight")?,
+            budget.reserve(others, "journals of other processes")?,
+            budget.reserve(aimed, "photons aimed at openings")?,
+            budget.reserve(
+                Neighbours::bytes(tables) + Sweep::bytes(tables) + Scheduler::memory_bytes(tiles),
+                "neighbours of tiles",
+            )?,
+        ];
+        reservations.extend(sky);
+        let plan = Self {
             rows,
             block,
             photon_rows,
             photon_block,
-            _reservations: [
-                budget.reserve(transit, "table of incoming photons")?,
-                budget.reserve(photons, "rows of stored photons")?,
-                budget.reserve(jobs, "photons in flight")?,
-                budget.reserve(others, "journals of other processes")?,
-            ],
+            daylight,
+            tables: budget.reserve(StageWriter::BUFFER_BYTES, "tables of the trace")?,
+            _reservations: reservations,
         };
+        // A block that is read back.
+        let _block =
+            budget.reserve((block * size_of::<TransitRecord>()) as u64, "incoming photons")?;
         let reader =
             TileReader { partition: &tables.partition, grid, budget, delta: tables.scene.delta };
         session::refuse_large_tiles(tables, &reader, budget, common.memory)?;
-        Ok(queues)
+        Ok(plan)
     }
 }
 
@@ -277,20 +305,14 @@ fn trace(
     tables: &Tables,
     grid: &StageReader,
     (writer, identity): (StageWriter, &Identity),
-    shapes: &Queues,
+    plan: Plan,
     counts: &Arc<Counts>,
 ) -> Result<Totals> {
     let share = cli.share;
     let (common, queue) = (&cli.common, &cli.trace.queue);
     let budget = session.budget.clone();
-    let Queues { rows, block, photon_rows, photon_block, .. } = *shapes;
-
-    let (daylight, _daylight) = daylight(tables, &budget)?;
-    let neighbours = Neighbours::bytes(tables) + Sweep::bytes(tables);
-    let _neighbours = budget.reserve(neighbours, "neighbours of tiles")?;
-    let aimed = if daylight.is_some() { Group::SIZE * MOST_AIMED } else { 0 };
-    let aimed = aimed * size_of::<TransitRecord>() * common.threads;
-    let _aimed = budget.reserve(aimed as u64, "photons aimed at openings")?;
+    let Plan { rows, block, photon_rows, photon_block, daylight, tables: growing, _reservations } =
+        plan;
     let resumed = writer.resumed();
     let recorder = Recorder::new(
         writer,
@@ -318,16 +340,17 @@ fn trace(
         budget: &budget,
         delta: tables.scene.delta,
     };
-    // Each thread has a job at hand while it works at one, and the main thread one to give.
-    let at_once = common.threads * 3;
+    let at_once = jobs_at_once(common);
     let (jobs, take_job) = bounded::<Job>(at_once);
     let (done, finished) = unbounded::<driver::Done>();
-    let (messages, mailbox) = bounded::<Message>(common.threads * 2 + 2);
+    let (messages, mailbox) = bounded::<Message>(MESSAGES);
     let timeline = &session.timeline;
     // Blocks read back: one for each job that may be under way, and what the loaders hold for a moment.
-    let margin = (block * size_of::<TransitRecord>() * (at_once + 2)) as u64 + (2 << 20);
+    let margin =
+        (block * size_of::<TransitRecord>() * (at_once + LOADING_BLOCKS)) as u64 + (2 << 20);
     let (cache, load) = TileCache::new(reader, queue.resident_rooms.0, margin, timeline);
 
+    let failed = recorder.failed();
     let (waited, began) = (AtomicU64::new(0), Instant::now());
     let (recorder, driven) = std::thread::scope(|scope| {
         let loaders: Vec<_> = (0..common.threads).map(|_| scope.spawn(load.clone())).collect();
@@ -339,22 +362,24 @@ fn trace(
             scope.spawn(move || {
                 let lane = timeline.lane(&format!("tracer {thread}"));
                 let mut group = Group::default();
-                let mut waiting = Waits::default();
+                let waiting = Waits::default();
+                let send = |products: Products| {
+                    let products = Message::Products(Box::new(products));
+                    waiting
+                        .during(&lane, "wait for the recorder", || messages.send(products))
+                        .map_err(|_| Failure::internal("the recorder has stopped"))
+                };
                 while let Ok(job) = waiting.during(&lane, "wait for work", || take_job.recv()) {
                     let tile = job.tile.tile;
                     let span = lane.span("trace", tile);
                     let ran = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-                        context.run(&job, &mut group)
+                        // What cannot be sent here cannot be sent at the end either, and that is told.
+                        context.run(&job, &mut group, &|products| drop(send(products)))
                     }));
                     drop(span);
                     drop(job);
                     let result = match ran {
-                        Ok(Ok(products)) => {
-                            let products = Message::Products(Box::new(products));
-                            waiting
-                                .during(&lane, "wait for the recorder", || messages.send(products))
-                                .map_err(|_| Failure::internal("the recorder has stopped"))
-                        }
+                        Ok(Ok(products)) => send(products),
                         Ok(Err(malformed)) => Err(StoreError::from(malformed).into()),
                         Err(_) => Err(Failure::internal("a tracing thread failed")),
                     };
@@ -362,7 +387,7 @@ fn trace(
                         break;
                     }
                 }
-                waited.fetch_add(waiting.0.as_nanos() as u64, Ordering::Relaxed);
+                waited.fetch_add(waiting.0.get().as_nanos() as u64, Ordering::Relaxed);
             });
         }
         drop((take_job, done));
@@ -386,6 +411,8 @@ fn trace(
             cursors,
             Scheduler::new(queue.schedule, tables.tiles().len() as u32),
             timeline.lane("schedule"),
+            failed,
+            growing,
         );
         // It closes all channels when it ends; then the threads end.
         let driven = driver.drive(&waiting);
@@ -400,26 +427,22 @@ fn trace(
     let recorder = recorder?;
     let loads = driven?;
     let store = tables.partition.store();
-    let totals = recorder.seal(store, identity, tables.rooms().len() as u32)?;
+    let rooms = tables.rooms().len() as u32;
+    let totals = recorder.seal(store, identity, rooms, |text| say(common, text))?;
     record_loads(session, tables, &loads);
     Ok(totals)
 }
 
 /// How long a tracing thread has waited.
 #[derive(Default)]
-struct Waits(Duration);
+struct Waits(Cell<Duration>);
 
 impl Waits {
     /// Waits for something, on the timeline as well.
-    fn during<T>(
-        &mut self,
-        lane: &enf_stage::Lane,
-        why: &'static str,
-        wait: impl FnOnce() -> T,
-    ) -> T {
+    fn during<T>(&self, lane: &enf_stage::Lane, why: &'static str, wait: impl FnOnce() -> T) -> T {
         let (_span, since) = (lane.io(why, 0u32), Instant::now());
         let result = wait();
-        self.0 += since.elapsed();
+        self.0.set(self.0.get() + since.elapsed());
         result
     }
 }

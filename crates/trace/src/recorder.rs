@@ -4,7 +4,8 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 use crossbeam::channel::{Receiver, Sender};
 use enf_layout::journal::{LedgerRecord, LightPairRecord, PassageRecord};
@@ -20,7 +21,7 @@ use enf_store::{
 use zerocopy::{FromBytes, IntoBytes};
 
 use crate::counts::Counts;
-use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, Share};
+use crate::share::{FIRST_PATIENCE, Others, POLL_EVERY, SAY_EVERY, Share};
 use crate::tracer::{Epoch, Products, add_ledger, empty_ledger};
 
 /// Photons in transit that were consumed are given back to the file system when they have so many bytes. It is not done for less: what has
@@ -72,8 +73,8 @@ pub(crate) struct Status {
     pub(crate) emitted_w: f64,
     /// Bytes written since the last commit.
     pub(crate) uncommitted: u64,
-    /// When that was.
-    pub(crate) committed_at: Instant,
+    /// Bytes of the tables that grow with the trace.
+    pub(crate) tables: u64,
     /// The first thing that went wrong.
     pub(crate) failure: Option<StoreError>,
 }
@@ -146,11 +147,10 @@ pub(crate) struct Recorder {
     all: Epoch,
     epoch: Epoch,
     uncommitted: u64,
-    committed_at: Instant,
     failure: Option<StoreError>,
+    /// Tells the main thread of a failure before it asks.
+    failed: Arc<AtomicBool>,
     traced: u64,
-    spilled_blocks: u64,
-    spilled_records: u64,
 }
 
 impl Recorder {
@@ -178,11 +178,9 @@ impl Recorder {
             all: Epoch::default(),
             epoch: Epoch::default(),
             uncommitted: 0,
-            committed_at: Instant::now(),
             failure: None,
+            failed: Arc::default(),
             traced: 0,
-            spilled_blocks: 0,
-            spilled_records: 0,
         };
         let extents: Vec<Extent> = recorder.writer.extents().copied().collect();
         for extent in extents {
@@ -212,11 +210,9 @@ impl Recorder {
                 _ => {}
             }
         }
-        // Others are told how the trace is shared before anything is done.
-        if share.of > 1 || !recorder.writer.others()?.is_empty() {
-            recorder.writer.cursor(ExtentKind::Identity, 0, u64::from(share.of));
-            recorder.writer.commit()?;
-        }
+        // Others are told how the trace is shared before anything is done: one that begins later must hear it from a process that is alone, too.
+        recorder.writer.cursor(ExtentKind::Identity, 0, u64::from(share.of));
+        recorder.writer.commit()?;
         recorder.poll()?;
         while !recorder.others.agree(FIRST_PATIENCE)? {
             std::thread::sleep(POLL_EVERY / 4);
@@ -271,6 +267,22 @@ impl Recorder {
         (waiting, cursors)
     }
 
+    /// Is set as soon as something has gone wrong.
+    pub(crate) fn failed(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.failed)
+    }
+
+    /// Bytes of the journal's tables, of the photons that wait on disk, and of the sums: all that grows with the length of the trace.
+    pub(crate) fn table_bytes(&self) -> u64 {
+        // An entry of a B-tree whose nodes are two thirds full.
+        const PAIR: usize = 40;
+        let pairs = |sums: &Epoch| sums.passages.len() + sums.sees.len();
+        let waiting: usize = self.waiting.values().map(Vec::capacity).sum();
+        self.writer.memory_bytes()
+            + ((pairs(&self.all) + pairs(&self.epoch)) * PAIR + waiting * size_of::<Extent>())
+                as u64
+    }
+
     /// Serves messages until all senders are gone.
     pub(crate) fn serve(mut self, messages: &Receiver<Message>, lane: &Lane) -> Self {
         for message in messages {
@@ -289,6 +301,7 @@ impl Recorder {
                     {
                         self.give_back(&error);
                         self.failure = Some(error);
+                        self.failed.store(true, Ordering::Relaxed);
                     }
                 }
                 Message::Take { tile, reply } => {
@@ -359,7 +372,7 @@ impl Recorder {
             finished_w: self.all.finished_w,
             emitted_w: self.all.emitted_w,
             uncommitted: self.uncommitted,
-            committed_at: self.committed_at,
+            tables: self.table_bytes(),
             failure: self.failure.take(),
         }
     }
@@ -388,8 +401,6 @@ impl Recorder {
             }
             transit.push(*tile, block, &mut |tile, records: &[TransitRecord]| {
                 *uncommitted += size_of_val(records) as u64;
-                self.spilled_blocks += 1;
-                self.spilled_records += records.len() as u64;
                 let bytes = records.as_bytes();
                 let count = records.len() as u64;
                 let extent = writer.append(ExtentKind::Transit, tile, count, bytes, Codec::Raw)?;
@@ -416,7 +427,6 @@ impl Recorder {
                 .map(|_| ())
         })?;
         transit.flush_all(&mut |tile, records: &[TransitRecord]| {
-            self.spilled_records += records.len() as u64;
             let count = records.len() as u64;
             let extent =
                 writer.append(ExtentKind::Transit, tile, count, records.as_bytes(), Codec::Raw)?;
@@ -453,17 +463,17 @@ impl Recorder {
             writer.release_consumed()?;
         }
         self.uncommitted = 0;
-        self.committed_at = Instant::now();
         Ok(())
     }
 
     /// Writes the light sets and seals the stage. Of several processes the lowest that is alive does that, when the others have
-    /// come to the end as well; they wait for it.
+    /// come to the end as well; they wait for it, and `say` for whom.
     pub(crate) fn seal(
         mut self,
         store: &StoreDir,
         identity: &Identity,
         rooms: u32,
+        say: impl Fn(String),
     ) -> Result<Totals, Failure> {
         if let Some(error) = self.failure.take() {
             return Err(error.into());
@@ -473,7 +483,7 @@ impl Recorder {
         let Epoch { rooms: mut ledger, mut passages, mut sees, .. } = all;
         let process = writer.process();
         let mut writer = Some(writer);
-        let mut written = false;
+        let (mut written, mut said) = (false, Instant::now());
         loop {
             if let Some(signal) = interrupt::interrupted() {
                 return Err(Failure::interrupted(signal));
@@ -507,7 +517,16 @@ impl Recorder {
                     Err(error) => return Err(error.into()),
                 }
             }
-            std::thread::sleep(Duration::from_millis(20));
+            if said.elapsed() > SAY_EVERY {
+                said = Instant::now();
+                let live = others.peers().iter().filter(|p| p.is_live().unwrap_or(false));
+                let live: Vec<_> = live.map(|p| p.process().to_string()).collect();
+                say(format!(
+                    "every photon is traced; waiting for other processes to end: {}",
+                    live.join(", ")
+                ));
+            }
+            std::thread::sleep(POLL_EVERY / 8);
         }
         if others.any() {
             let reader = StageReader::open(store, StageKind::Trace)?;
@@ -518,8 +537,8 @@ impl Recorder {
             ledger,
             passages,
             evictions: self.transit.evictions(),
-            spilled_blocks: self.spilled_blocks,
-            spilled_records: self.spilled_records,
+            spilled_blocks: self.transit.spilled_blocks(),
+            spilled_records: self.transit.spilled_records(),
             traced: self.traced,
         })
     }

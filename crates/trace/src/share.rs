@@ -98,6 +98,8 @@ pub(crate) struct Others {
 
 /// Journals of others are looked at about this often.
 pub(crate) const POLL_EVERY: Duration = Duration::from_millis(200);
+/// Who is waited for is said this often.
+pub(crate) const SAY_EVERY: Duration = Duration::from_secs(10);
 /// Who begins may wait so long for others to share the trace alike; who is at work waits longer.
 pub(crate) const FIRST_PATIENCE: Duration = Duration::from_secs(2);
 const PATIENCE: Duration = Duration::from_secs(6);
@@ -190,7 +192,7 @@ impl Others {
     pub(crate) fn agree(&mut self, patience: Duration) -> Result<bool, StoreError> {
         for peer in &self.peers {
             let says = self.shares.get(&peer.process());
-            if says.is_some_and(|&of| of != u64::from(self.share.of)) && peer.is_live()? {
+            if says != Some(&u64::from(self.share.of)) && peer.is_live()? {
                 if self.at_odds.get_or_insert_with(Instant::now).elapsed() > patience {
                     return Err(StoreError::Busy { path: peer.path().to_path_buf() });
                 }

@@ -151,6 +151,15 @@ pub(crate) struct Products {
     pub(crate) impacts: Vec<(u32, Vec<PhotonRecord>)>,
     pub(crate) parked: Vec<(u32, Vec<TransitRecord>)>,
     pub(crate) tally: Tally,
+    /// Bytes of all records.
+    bytes: u64,
+}
+
+impl Products {
+    /// Photons of the sky and of white rooms come to much; a job sends its products in parts of so many bytes. Most jobs have one part.
+    const PART_BYTES: u64 = 512 << 10;
+    /// What a part takes at most: vectors double.
+    pub(crate) const MOST_BYTES: u64 = 2 * Self::PART_BYTES;
 }
 
 fn lane<T>(lanes: &mut Vec<(u32, Vec<T>)>, id: u32) -> &mut Vec<T> {
@@ -177,10 +186,12 @@ impl Sink for Products {
             *self.tally.sees.entry((room, light)).or_default() += 1;
         }
         self.tally.room(room).stored += 1;
+        self.bytes += size_of::<PhotonRecord>() as u64;
         lane(&mut self.impacts, room).push(photon);
     }
 
     fn park(&mut self, tile: u32, record: TransitRecord) {
+        self.bytes += size_of::<TransitRecord>() as u64;
         lane(&mut self.parked, tile).push(record);
     }
 
@@ -222,19 +233,32 @@ struct Aiming<'a, 'b> {
     context: &'a Context<'b>,
     tile: u32,
     products: Products,
+    /// Takes a part of the products.
+    send: &'a dyn Fn(Products),
     /// Photons that were aimed and start in this tile.
     aimed: Vec<TransitRecord>,
     /// Where the last photon started: the next one is likely to start there as well.
     near: u32,
 }
 
+impl Aiming<'_, '_> {
+    #[inline]
+    fn send_if_full(&mut self) {
+        if self.products.bytes >= Products::PART_BYTES {
+            (self.send)(std::mem::take(&mut self.products));
+        }
+    }
+}
+
 impl Sink for Aiming<'_, '_> {
     fn impact(&mut self, room: u32, light: u32, photon: PhotonRecord) {
         self.products.impact(room, light, photon);
+        self.send_if_full();
     }
 
     fn park(&mut self, tile: u32, record: TransitRecord) {
         self.products.park(tile, record);
+        self.send_if_full();
     }
 
     fn passage(&mut self, from: u32, to: u32, record: &TransitRecord) {
@@ -304,7 +328,7 @@ impl Sink for Aiming<'_, '_> {
             if tile == self.tile {
                 self.aimed.push(aimed);
             } else {
-                self.products.park(tile, aimed);
+                self.park(tile, aimed);
             }
         });
         if let Event::Diffuse(direction) = event {
@@ -350,8 +374,13 @@ pub(crate) struct Context<'a> {
 }
 
 impl Context<'_> {
-    /// Runs one job.
-    pub(crate) fn run(&self, job: &Job, group: &mut photon::Group) -> Result<Products, Malformed> {
+    /// Runs one job. What comes of it is returned, but for parts of it that are sent on the way.
+    pub(crate) fn run(
+        &self,
+        job: &Job,
+        group: &mut photon::Group,
+        send: &dyn Fn(Products),
+    ) -> Result<Products, Malformed> {
         let structure = job.tile.structure()?;
         let texturing = Texturing {
             textures: self.tables.textures(),
@@ -370,6 +399,7 @@ impl Context<'_> {
             context: self,
             tile: tile.tile,
             products: Products::default(),
+            send,
             aimed: Vec::new(),
             near: 0,
         };

@@ -18,7 +18,6 @@ const RELATIVE_TOLERANCE: f64 = 1.0 / 131_072.0;
 pub struct PortalSet<'a> {
     portals: &'a [PortalRecord],
     pieces: &'a [PortalPieceRecord],
-    tolerance: f64,
 }
 
 /// A portal or piece that [`PortalSet::check`] refuses.
@@ -69,19 +68,12 @@ impl<'a> PortalSet<'a> {
     /// `portals` are the room's; their `first_piece` indexes `pieces`, which is usually the table of
     /// the whole scene. With no portals nothing is near and nothing crosses.
     pub fn new(portals: &'a [PortalRecord], pieces: &'a [PortalPieceRecord]) -> Self {
-        Self { portals, pieces, tolerance: LEAST_TOLERANCE_M }
+        Self { portals, pieces }
     }
 
     /// A set without openings.
     pub fn none() -> Self {
         Self::new(&[], &[])
-    }
-
-    /// Widens the slack around the openings to at least `metres` (the default is 1 mm, more for pieces
-    /// far from the origin). Four times the scene's delta is right for very large scenes.
-    pub fn with_tolerance(mut self, metres: f32) -> Self {
-        self.tolerance = LEAST_TOLERANCE_M.max(f64::from(metres));
-        self
     }
 
     /// Whether every portal names pieces that exist and every piece is a polygon.
@@ -98,7 +90,7 @@ impl<'a> PortalSet<'a> {
                 pieces: self.pieces.len(),
             })?;
             for (piece, index) in pieces.iter().zip(range) {
-                if Opening::new(piece, self.tolerance).is_none() {
+                if Opening::new(piece).is_none() {
                     return Err(BadPortals::BadPiece { piece: index, corners: piece.count });
                 }
             }
@@ -113,21 +105,22 @@ impl<'a> PortalSet<'a> {
 
     /// The pieces that a ball of `radius` about `point` may touch.
     fn openings_about(&self, point: DVec3, radius: f64) -> impl Iterator<Item = Opening> {
-        let least = self.tolerance;
         self.pieces()
-            .filter(move |piece| Bounds::of(piece, least, radius).may_touch(point))
-            .filter_map(move |piece| Opening::new(piece, least))
+            .filter(move |piece| Bounds::of(piece, radius).may_touch(point))
+            .filter_map(move |piece| Opening::new(piece))
     }
 
     /// Whether `point` is within `radius` (m) of an opening: exact distance to the convex polygons.
-    pub fn near(&self, point: Vec3, radius: f32) -> bool {
+    #[cfg(test)]
+    fn near(&self, point: Vec3, radius: f32) -> bool {
         let (point, radius) = (point.as_dvec3(), f64::from(radius));
         point.is_finite() && self.openings_about(point, radius).any(|o| o.distance(point) <= radius)
     }
 
     /// Whether the segment from `a` to `b` (m) passes an opening. Inclusive: touching it, an end in
-    /// its plane, or a miss by less than the slack ([`PortalSet::with_tolerance`]) count as passing.
-    pub fn crosses(&self, a: Vec3, b: Vec3) -> bool {
+    /// its plane, or a miss by less than the slack count as passing.
+    #[cfg(test)]
+    pub(crate) fn crosses(&self, a: Vec3, b: Vec3) -> bool {
         let (a, b) = (a.as_dvec3(), b.as_dvec3());
         a.is_finite()
             && b.is_finite()
@@ -159,8 +152,8 @@ impl Halo {
         let openings: Vec<_> = portals
             .pieces()
             .filter_map(|piece| {
-                let bounds = Bounds::of(piece, portals.tolerance, radius + portals.tolerance);
-                Some((bounds, Opening::new(piece, portals.tolerance)?))
+                let bounds = Bounds::of(piece, radius + LEAST_TOLERANCE_M);
+                Some((bounds, Opening::new(piece)?))
             })
             .collect();
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
@@ -200,7 +193,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    fn of(piece: &PortalPieceRecord, least_tolerance: f64, radius: f64) -> Self {
+    fn of(piece: &PortalPieceRecord, radius: f64) -> Self {
         let n = (piece.count as usize).min(PIECE_CORNERS);
         let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
         for &corner in &piece.corners[..n] {
@@ -208,7 +201,7 @@ impl Bounds {
             max = max.max(Vec3::from(corner));
         }
         let (min, max) = (min.as_dvec3(), max.as_dvec3());
-        let reach = radius + 2.0 * tolerance(least_tolerance, min.abs().max(max.abs()));
+        let reach = radius + 2.0 * tolerance(min.abs().max(max.abs()));
         Self { min, max, reach }
     }
 
@@ -223,8 +216,8 @@ fn piece_range(portal: &PortalRecord) -> std::ops::Range<usize> {
     first..first.saturating_add(portal.piece_count as usize)
 }
 
-fn tolerance(least: f64, largest: DVec3) -> f64 {
-    least.max(largest.max_element() * RELATIVE_TOLERANCE)
+fn tolerance(largest: DVec3) -> f64 {
+    LEAST_TOLERANCE_M.max(largest.max_element() * RELATIVE_TOLERANCE)
 }
 
 /// A piece made ready for questions.
@@ -240,7 +233,7 @@ pub(crate) struct Opening {
 }
 
 impl Opening {
-    fn new(piece: &PortalPieceRecord, least_tolerance: f64) -> Option<Self> {
+    fn new(piece: &PortalPieceRecord) -> Option<Self> {
         let count = piece.count as usize;
         if !(3..=PIECE_CORNERS).contains(&count) {
             return None;
@@ -258,7 +251,7 @@ impl Opening {
         for i in 0..count {
             inward[i] = normal.cross(used[(i + 1) % count] - used[i]).normalize_or_zero();
         }
-        let tolerance = tolerance(least_tolerance, largest);
+        let tolerance = tolerance(largest);
         Some(Self { corners, inward, count, normal, offset: normal.dot(middle), tolerance })
     }
 

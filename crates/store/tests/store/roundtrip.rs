@@ -19,7 +19,7 @@ fn every_codec_and_size_comes_back_by_every_way() {
     let store = StoreDir::create(dir.path().join("deep/er.enf")).unwrap();
     let mut writer = StageWriter::open(&store, STAGE, 0, &identity()).unwrap();
     let memory = MemoryBudget::new(40 << 20);
-    writer = writer.with_budget(memory.clone()).unwrap();
+    let empty = writer.memory_bytes();
     let mib = 1 << 20;
     let sizes = [0, 1, 63, 64, 65, 5000, mib - 64, mib, mib + 1, 3 * mib + 7];
     let mut wanted = Vec::new();
@@ -46,6 +46,7 @@ fn every_codec_and_size_comes_back_by_every_way() {
         }
     };
     let count = writer.extents().count();
+    assert!(writer.memory_bytes() > empty);
     assert_eq!(count, 5 * sizes.len() + 1);
     for pass in ["pending", "committed"] {
         for e in writer.extents().filter(|e| e.kind != ExtentKind::Identity) {
@@ -118,8 +119,8 @@ fn a_read_that_does_not_fit_is_a_budget_error_and_takes_nothing() {
     }
     let small = MemoryBudget::new(99_999);
     assert_eq!(reader.map(&raw, &small, "photons").unwrap_err().exit_code(), 3);
-    let writer = StageWriter::open(&store, StageKind::Grid, 0, &identity()).unwrap();
-    assert_eq!(writer.with_budget(small).unwrap_err().exit_code(), 3);
+    let none = MemoryBudget::new(1);
+    assert_eq!(reader.with_budget(&none).unwrap_err().exit_code(), 3);
 }
 
 #[test]
