@@ -204,7 +204,7 @@ fn refusals_lead_to_a_budget_that_works() {
             Some(0) => return,
             Some(3) => {
                 let advice =
-                    said.rsplit("--memory ").next().and_then(|s| s.split_whitespace().next());
+                    said.split("--memory ").nth(1).and_then(|s| s.split_whitespace().next());
                 let advice = advice.unwrap_or_else(|| panic!("no advice in: {said}"));
                 assert_ne!(advice, memory, "{said}");
                 memory = advice.to_string();
@@ -287,4 +287,27 @@ fn memory_that_is_no_size_is_a_usage_error() {
         run(bin("enf-trace").arg("x.enf"));
     }
     assert!(!Path::new("x.enf").exists());
+}
+
+/// Pictures are written when all else is done: a budget in which that could not be is refused before anything is begun.
+#[test]
+fn a_picture_too_wide_to_be_written_is_refused_at_once() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = dir.path().join("b.enf");
+    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "1k"]));
+    ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
+    let render = |memory: &str| {
+        let mut command = bin("enf-render");
+        command.arg(&store).args(["--view", "door", "--width", "24000", "--height", "1"]);
+        command.args(["--samples", "1", "--quiet", "--memory", memory]);
+        command.arg("-o").arg(dir.path().join("wide.png"));
+        command
+    };
+    let said = fails(&mut render("100M"), 3);
+    assert!(said.contains("would do") && said.contains("--width"), "{said}");
+    assert!(!common::files_of(&store).iter().any(|f| f.starts_with("render.")), "nothing is begun");
+    let memory = said.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next());
+    ok(&mut render(memory.unwrap()));
 }

@@ -115,3 +115,34 @@ fn a_map_that_does_not_fit_is_refused_with_what_would_do() {
     let budget = number(&stats, "memory.budget_bytes");
     assert!(peak <= budget, "{peak} of {budget} bytes");
 }
+
+/// The room whose map does not fit is the one with the largest tile: it is seen in part, in what is free beside all else.
+#[test]
+fn a_map_that_fits_in_part_is_not_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = dir.path().join("b.enf");
+    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "400k"]));
+    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "20000"]));
+    for indirect in ["photon-map", "final-gather"] {
+        let (stats, picture) = (dir.path().join("stats.json"), dir.path().join("door.exr"));
+        let render = |memory: &str| {
+            let mut command = bin("enf-render");
+            command.arg(&store).args(["--view", "door", "--width", "48", "--height", "32"]);
+            command.args(["--samples", "1", "--gather-photons", "16", "--indirect", indirect]);
+            command.args(["--quiet", "--force", "--threads", "1", "--memory", memory, "--stats"]);
+            command.arg(&stats).arg("-o").arg(&picture);
+            command
+        };
+        ok(&mut render("1G"));
+        assert_eq!(number(&json(&stats), "maps_in_part"), 0.0);
+        let whole = std::fs::read(&picture).unwrap();
+        let said = fails(&mut render("24M"), 3);
+        let needs = said.split("needs ").nth(1).and_then(|s| s.split(' ').next()).unwrap();
+        let needs: u64 = needs.parse().unwrap_or_else(|_| panic!("{said}"));
+        ok(&mut render(&format!("{}M", needs + 1)));
+        assert!(number(&json(&stats), "maps_in_part") > 0.0, "{indirect}: {needs} MiB hold it all");
+        assert!(std::fs::read(&picture).unwrap() == whole, "{indirect}: another picture");
+    }
+}

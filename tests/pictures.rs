@@ -401,10 +401,18 @@ fn bands_that_are_smoothed_together() {
     let dir = tempfile::tempdir().unwrap();
     let store = light(&common::furnished(dir.path()), "3k", &[]);
     let mut seen: Option<Vec<u8>> = None;
-    for (i, (memory, threads, killed)) in
-        [("1G", "2", false), ("72M", "1", false), ("1G", "4", true), ("1G", "1", true)]
-            .into_iter()
-            .enumerate()
+    // Where one tile is in memory and the busiest comes first, bands end that wait for others, whose rays wait for a tile to be loaded.
+    let few: &[&str] = &["--schedule", "most-work", "--resident-rooms", "1"];
+    for (i, (memory, threads, killed, flags)) in [
+        ("1G", "2", false, &[][..]),
+        ("72M", "1", false, &[]),
+        ("1G", "4", true, &[]),
+        ("1G", "1", true, &[]),
+        ("1G", "2", false, few),
+        ("72M", "1", false, few),
+    ]
+    .into_iter()
+    .enumerate()
     {
         let out = dir.path().join(format!("hall-{i}.exr"));
         // Four bands and a bit.
@@ -413,7 +421,7 @@ fn bands_that_are_smoothed_together() {
             command.arg(&store).arg("-o").arg(&out).args(GATHER);
             command.args(["--quiet", "--all-rooms", "--view", "hall", "--samples", "2"]);
             command.args(["--width", "512", "--height", "272", "--gather-rays", "2"]);
-            command.args(["--memory", memory, "--threads", threads]);
+            command.args(["--memory", memory, "--threads", threads]).args(flags);
             command.args(force.then_some("--force"));
             command
         };
@@ -675,4 +683,40 @@ fn files_that_people_open() {
         2,
     );
     assert!(text.contains("--force"), "{text}");
+}
+
+/// Views that are not the same picture are not one, however they are called.
+#[test]
+fn views_with_one_name_are_two_pictures() {
+    let dir = tempfile::tempdir().unwrap();
+    let text = std::fs::read_to_string(common::furnished(dir.path())).unwrap();
+    let view = |name: &str, eye: &str| {
+        format!("\n[[view]]\nname = \"{name}\"\neye = {eye}\ntarget = [2.0, 2.0, 1.0]\n")
+    };
+    let scene = dir.path().join("named.toml");
+    let views = view("a+b", "[1.0, 1.0, 1.5]") + &view("a-b", "[1.5, 1.0, 1.5]");
+    let views = views + &view("camera", "[1.2, 1.0, 1.5]");
+    std::fs::write(&scene, text + &views).unwrap();
+    let store = light(&scene, "1k", &[]);
+    let out = dir.path().join("o");
+    let flags = ["--samples", "1", "--width", "8", "--height", "8", "--formats", "png", "--quiet"];
+    let names = |more: &[&str]| {
+        let _ = std::fs::remove_dir_all(&out);
+        let said = ok(bin("enf-render").arg(&store).arg("-o").arg(&out).args(flags).args(more));
+        let printed = common::stdout(&said);
+        let mut names: Vec<_> =
+            printed.lines().map(|l| l.rsplit('/').next().unwrap().to_owned()).collect();
+        for name in &names {
+            assert!(out.join(name).exists(), "{name}");
+        }
+        names.sort();
+        names
+    };
+    let eye = ["--eye", "1.1,1,1.5", "--target", "2,2,1"];
+    let all = names(&[&eye[..], &["--view", "all"]].concat());
+    for name in ["a-b.png", "a-b-2.png", "camera.png", "camera-2.png"] {
+        assert_eq!(all.iter().filter(|n| *n == name).count(), 1, "{name} in {all:?}");
+    }
+    let twice = names(&["--view", "camera", "--view", "camera"]);
+    assert_eq!(twice, ["camera.png"], "the same picture twice is one");
 }

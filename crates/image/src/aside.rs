@@ -1,12 +1,15 @@
 //! Files that appear complete or not at all: written aside, synced, renamed.
 
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use crate::ImageError;
 
-/// A file on its way. Dropped before [`Aside::finish`], it leaves nothing behind.
+/// A file on its way. Dropped before [`Aside::finish`], it leaves nothing behind; what a process leaves that is killed, the next one
+/// that makes the same file clears away.
 pub(crate) struct Aside {
     path: PathBuf,
     /// Where the bytes go first; `None` for devices and pipes, which are written in place.
@@ -14,6 +17,35 @@ pub(crate) struct Aside {
     target: PathBuf,
     /// Buffered, and `None` only once finished.
     writer: Option<BufWriter<File>>,
+}
+
+/// How the names of files end that are not complete.
+const PARTIAL: &str = ".partial";
+
+/// A file that was written to so lately is left alone: it may be about to be locked.
+const FRESH: Duration = Duration::from_secs(10);
+
+/// Removes what killed processes have left of a file: their locks are gone.
+fn clear_away(folder: &Path, prefix: &OsStr) {
+    let Ok(entries) = fs::read_dir(folder) else { return };
+    for entry in entries.flatten() {
+        let name = entry.file_name();
+        let number = name
+            .as_encoded_bytes()
+            .strip_prefix(prefix.as_encoded_bytes())
+            .and_then(|rest| rest.strip_suffix(PARTIAL.as_bytes()));
+        if number.is_some_and(|n| !n.is_empty() && n.iter().all(u8::is_ascii_digit))
+            && let Ok(file) = File::options().write(true).open(entry.path())
+            && file.metadata().is_ok_and(|m| is_old(&m))
+            && file.try_lock().is_ok()
+        {
+            let _ = fs::remove_file(entry.path());
+        }
+    }
+}
+
+fn is_old(file: &fs::Metadata) -> bool {
+    file.modified().is_ok_and(|at| at.elapsed().is_ok_and(|age| age > FRESH))
 }
 
 impl Aside {
@@ -34,9 +66,12 @@ impl Aside {
                 let name = target.file_name().ok_or_else(|| {
                     fail(io::Error::new(io::ErrorKind::InvalidInput, "that is no file name"))
                 })?;
-                let mut hidden = std::ffi::OsString::from(".");
+                let mut hidden = OsString::from(".");
                 hidden.push(name);
-                hidden.push(format!(".{}.partial", std::process::id()));
+                hidden.push(".");
+                let folder = target.parent().filter(|p| !p.as_os_str().is_empty());
+                clear_away(folder.unwrap_or(Path::new(".")), &hidden);
+                hidden.push(format!("{}{PARTIAL}", std::process::id()));
                 Some(target.with_file_name(hidden))
             }
         };
@@ -44,6 +79,10 @@ impl Aside {
             Some(partial) => File::create(partial),
             None => File::options().write(true).open(&target),
         };
+        let file = file.inspect(|file| {
+            // Says that this one is alive. Where files cannot be locked, nothing is ever cleared away.
+            let _ = file.try_lock();
+        });
         let writer = Some(BufWriter::with_capacity(1 << 16, file.map_err(fail)?));
         Ok(Self { path: path.to_owned(), partial, target, writer })
     }
@@ -121,6 +160,30 @@ mod tests {
         aside.finish().unwrap();
         assert_eq!(fs::read(&path).unwrap(), b"new");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_killed_process_has_left_is_cleared_away() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        let old = std::time::SystemTime::now() - 2 * FRESH;
+        let names =
+            [".a.png.1.partial", ".a.png.2.partial", ".a.png.x.partial", ".b.png.1.partial"];
+        let files = names.map(|name| {
+            let mut file = File::create(at(name)).unwrap();
+            file.write_all(b"half").unwrap();
+            file.set_modified(old).unwrap();
+            file
+        });
+        fs::write(at(".a.png.3.partial"), "half").unwrap();
+        // Somebody is at work at the second one.
+        files[1].lock().unwrap();
+        Aside::create(&at("a.png")).unwrap().finish().unwrap();
+        let mut left: Vec<_> =
+            fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+        left.sort();
+        let wanted = [names[1], ".a.png.3.partial", names[2], names[3], "a.png"];
+        assert_eq!(left, wanted);
     }
 
     #[cfg(unix)]

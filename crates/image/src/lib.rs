@@ -16,7 +16,6 @@
 #![forbid(unsafe_code)]
 
 mod aside;
-mod compare;
 mod error;
 mod exposure;
 mod falsecolour;
@@ -28,7 +27,6 @@ mod portable;
 mod rows;
 mod tone;
 
-pub use compare::{Difference, difference};
 pub use error::ImageError;
 pub use exposure::{ExposureMeter, exposure, exposure_from};
 pub use falsecolour::{falsecolour_map_png, falsecolour_png, falsecolour_png_from};

@@ -9,7 +9,7 @@ use enf_illumination::photon_map::{
     Cube, DIVIDE_BYTES, Halo, PieceRange, PortalSet, blob_bytes, build_map, divide,
 };
 use enf_layout::map::PIECE_PHOTONS;
-use enf_layout::photon::{PHOTON_DIRECT, PHOTON_HALO, PhotonRecord};
+use enf_layout::photon::{PHOTON_CAUSTIC, PHOTON_DIRECT, PHOTON_HALO, PhotonRecord};
 use enf_layout::segment::{Codec, ExtentKind, StageKind};
 use enf_stage::ordered::{Continue, ordered};
 use enf_stage::session::{self, Announcer, Begin, Session};
@@ -159,6 +159,7 @@ fn build(
         |i, map| {
             if let Some(map) = map {
                 writer.append(ExtentKind::Map, todo[i], map.photons, &map.blob, Codec::Raw)?;
+                note_caustics(&mut writer, todo[i], map.caustics);
                 sum += map.photons;
                 halo_sum += map.halo;
                 done += stored(photons, todo[i]);
@@ -173,12 +174,15 @@ fn build(
     for room in large {
         let lane = timeline.lane(&names[0]);
         let _span = lane.span("build map", room);
+        let mut caustics = 0;
         source.pieces_of(room, common.threads, &mut |map| {
+            caustics += map.caustics;
             writer.append(ExtentKind::Map, room, map.photons, &map.blob, Codec::Raw)?;
             sum += map.photons;
             halo_sum += map.halo;
             Ok(())
         })?;
+        note_caustics(&mut writer, room, caustics);
         done += stored(photons, room);
         progress.set(done);
         finished.insert(room);
@@ -197,10 +201,18 @@ fn build(
     Ok(())
 }
 
+/// Says how many caustic photons a room's map has, for who makes a map of them; nothing where it has none.
+fn note_caustics(writer: &mut StageWriter, room: u32, caustics: u64) {
+    if caustics > 0 {
+        writer.cursor(ExtentKind::Map, room, caustics);
+    }
+}
+
 struct Map {
     blob: Buffer,
     photons: u64,
     halo: u64,
+    caustics: u64,
 }
 
 /// Where photons come from.
@@ -282,8 +294,9 @@ impl Source<'_> {
         let mut blob = Buffer::zeroed(self.budget, bytes, "map of a room")
             .map_err(|_| self.too_small(room, list.len() as u64))?;
         build_map(list, &mut blob, self.radius, number, threads);
-        let halo = list.iter().filter(|p| p.flags & PHOTON_HALO != 0).count() as u64;
-        Ok(Map { blob, photons: list.len() as u64, halo })
+        let with = |flag| list.iter().filter(|p| p.flags & flag != 0).count() as u64;
+        let (halo, caustics) = (with(PHOTON_HALO), with(PHOTON_CAUSTIC));
+        Ok(Map { blob, photons: list.len() as u64, halo, caustics })
     }
 
     /// The map of a room with more photons than a piece may have, piece by piece: photons are looked at until it is known
@@ -300,7 +313,10 @@ impl Source<'_> {
             Ok(())
         })?;
         let ranges = {
-            let _counts = self.budget.reserve(DIVIDE_BYTES, "cuts between photons");
+            let _counts = self
+                .budget
+                .reserve(DIVIDE_BYTES, "cuts between photons")
+                .map_err(|_| self.too_small(room, stored(self.photons, room)))?;
             divide(self.most as u64, |see| {
                 self.each(room, &mut |photon| {
                     see(cube.number(photon));

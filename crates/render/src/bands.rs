@@ -108,6 +108,8 @@ pub(crate) struct Band {
 pub(crate) struct Exposed {
     pub(crate) records: Vec<PixelRecord>,
     pub(crate) gathered: Vec<Gathered>,
+    /// Contributions that were no numbers, and are left out.
+    pub(crate) not_finite: u64,
     /// Of their bytes.
     pub(crate) reservation: Reservation,
 }
@@ -311,6 +313,6 @@ impl Band {
             true => (0..self.pixels as usize).map(|p| film.gathered(p, gathering)).collect(),
             false => Vec::new(),
         };
-        Exposed { records, gathered, reservation: self.rest }
+        Exposed { records, gathered, not_finite: film.rejected(), reservation: self.rest }
     }
 }

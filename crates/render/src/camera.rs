@@ -37,7 +37,7 @@ pub struct View {
 }
 
 /// Where a picture's rays start, and where they go.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// Eye, m; of a plan, the picture's middle.
     pub eye: Vec3,
@@ -251,7 +251,9 @@ pub(crate) fn views(
         }
         let camera = Camera::new(&record, projection)
             .map_err(|e| Failure::input(format!("view {name}: {e}")))?;
-        if !views.iter().any(|v| v.name == name) {
+        // The same picture twice is one; another one gets another name.
+        if !views.iter().any(|v| v.camera == camera && v.name == name) {
+            let name = unused(&name, |name| views.iter().any(|v| v.name == name));
             views.push(View { name, camera });
         }
     }
@@ -263,6 +265,12 @@ pub(crate) fn views(
         return Err(Failure::usage("the pictures have more than 4294967295 pixels together"));
     }
     Ok(views)
+}
+
+/// The name, or the first of `name-2`, `name-3` and so on that is not `used`.
+pub(crate) fn unused(name: &str, used: impl Fn(&str) -> bool) -> String {
+    let numbered = (2u32..).map(|n| format!("{name}-{n}"));
+    std::iter::once(name.to_owned()).chain(numbered).find(|name| !used(name)).unwrap_or_default()
 }
 
 /// Width and height of a picture: what the flags say, else the view, else what fits. `shown` is what a plan of a whole

@@ -21,8 +21,16 @@ pub(crate) struct Caustics {
 }
 
 impl Caustics {
-    /// Sorts the caustic photons out of those of a map, which `look` shows one at a time, twice; `None` where there are none. It needs 24
-    /// bytes for each of them, and as many again for a while. `radius` is the map's.
+    /// Bytes that [`Caustics::of`] reserves for so many photons while it works.
+    pub(crate) fn bytes(photons: u64) -> u64 {
+        match photons {
+            0 => 0,
+            n => n * size_of::<PhotonRecord>() as u64 + blob_bytes(n as usize) as u64,
+        }
+    }
+
+    /// Sorts the caustic photons out of those of a map, which `look` shows one at a time, twice; `None` where there are none.
+    /// `radius` is the map's.
     pub(crate) fn of(
         look: impl Fn(&mut dyn FnMut(PhotonRecord)) -> Result<(), StoreError>,
         radius: f32,

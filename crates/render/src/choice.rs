@@ -64,6 +64,17 @@ pub(crate) fn choices(lights: &[(u32, f32)], tables: &Tables) -> Vec<Choice> {
     choices
 }
 
+/// How many parts any light of the scene has, at most.
+pub(crate) fn most_parts(lights: &[LightRecord]) -> u64 {
+    let areas = lights.iter().filter(|l| l.kind == LIGHT_AREA);
+    areas.map(|l| u64::from(l.emitter_count)).max().unwrap_or(1).clamp(1, PARTS as u64)
+}
+
+/// How many choices so many lights are, at most, where each has `parts` at most.
+pub(crate) fn most(lights: u64, parts: u64) -> u64 {
+    lights + lights.min(DIVIDED as u64) * (parts - 1)
+}
+
 /// The choice that a number which chooses an emitter of a light falls on.
 pub(crate) fn of(choices: &[Choice], light: u32, u: f32) -> Option<usize> {
     let after = choices.partition_point(|c| (c.light, c.range[0]) <= (light, u));

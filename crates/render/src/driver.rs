@@ -57,6 +57,8 @@ pub(crate) struct Shown {
     pub(crate) room_loads: u64,
     /// Rooms whose maps were in memory in part only.
     pub(crate) rooms_in_part: u64,
+    /// Contributions that were no numbers, and are left out.
+    pub(crate) not_finite: u64,
 }
 
 /// Ways to the other threads.
@@ -232,7 +234,10 @@ impl Driver<'_> {
             progress.set(self.state.written_rays + self.state.bands.sent(samples));
             let loading = self.tiles.in_flight() + self.rooms.in_flight() > 0;
             if self.state.flying == 0 && !loading {
-                if self.state.bands.over().is_some() || !self.state.exposed.is_empty() {
+                // Bands that wait for those before them are no reason not to go on with these.
+                let next = self.state.plan.get(self.state.pushed);
+                let pushable = next.is_some_and(|(band, _)| self.state.exposed.contains_key(band));
+                if self.state.bands.over().is_some() || pushable {
                     continue;
                 }
                 if self.scheduler.total() > 0 {
@@ -313,6 +318,7 @@ impl Driver<'_> {
                 Some(After::Pass) => self.note_launches(band),
                 Some(After::Done(exposed)) => {
                     self.state.written_rays += self.rays_of(band, total);
+                    self.state.shown.not_finite += exposed.not_finite;
                     match self.args.smooths() {
                         true => drop(self.state.exposed.insert(band, exposed)),
                         false => self.put(band, &exposed.records)?,
@@ -331,7 +337,7 @@ impl Driver<'_> {
             && let Some(exposed) = self.state.exposed.remove(&band)
         {
             self.state.pushed += 1;
-            let Exposed { records, gathered, reservation } = exposed;
+            let Exposed { records, gathered, reservation, .. } = exposed;
             drop(reservation);
             self.smooth(window.push(smooth::Exposed { band, write, records, gathered }))?;
         }

@@ -6,7 +6,7 @@ use enf_image::{
 };
 use enf_layout::film::PixelRecord;
 use enf_layout::segment::{ExtentKind, StageKind};
-use enf_stage::{ExitStatus, Failure, Result};
+use enf_stage::{ExitStatus, Failure, Result, interrupt};
 use enf_store::{Buffer, MemoryBudget, StageReader, StoreDir, StoreError};
 
 use crate::{BAND_PIXELS, Exposure, Format, Output, RenderArgs, View};
@@ -37,6 +37,9 @@ impl Rows for FilmRows<'_> {
         out: &mut [PixelRecord],
     ) -> std::result::Result<(), RowsError> {
         let mut pixel = self.first_pixel + first_row * self.width;
+        if interrupt::interrupted().is_some() {
+            return Err("the program was asked to stop".into());
+        }
         let mut out = out;
         while !out.is_empty() {
             let band = pixel / BAND_PIXELS;
@@ -59,6 +62,13 @@ impl Rows for FilmRows<'_> {
         }
         Ok(())
     }
+}
+
+/// Bytes that [`develop`] needs for pictures of this width at most: what the writers take, and a band of the film.
+pub(crate) fn writer_bytes(width: u32) -> u64 {
+    enf_image::scratch_bytes(width) as u64
+        + u64::from(BAND_PIXELS) * size_of::<PixelRecord>() as u64
+        + (64 << 10)
 }
 
 /// Writes the files of every view.
@@ -92,6 +102,9 @@ pub(crate) fn develop(
 
 /// A film that cannot be read is the store's failure, whatever picture it was for.
 fn failure(error: ImageError) -> Failure {
+    if let (ImageError::Rows { .. }, Some(signal)) = (&error, interrupt::interrupted()) {
+        return Failure::interrupted(signal);
+    }
     let code = match &error {
         ImageError::Rows { source, .. } => source.downcast_ref::<StoreError>(),
         _ => None,

@@ -33,7 +33,7 @@ use enf_stage::session::{self, Begin, Session};
 use enf_stage::tables::Tables;
 use enf_stage::{
     CommonArgs, Failure, IdSink, IdSource, IoContext, Neighbours, Result, RowTable, Scheduler,
-    Selection, say,
+    Selection, say, warn,
 };
 use enf_store::{
     Identity, MemoryBudget, StageReader, StageState, StageWriter, StoreDir, StoreError,
@@ -93,6 +93,8 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
         mesh = mesh.max(reader.peak_bytes(tile)?);
     }
     let bsp = tables.bsp()?;
+    let caustics = maps.cursors().filter(|c| c.0 == ExtentKind::Map);
+    let caustics = caustics.map(|(_, room, photons)| (room, photons)).collect();
     let rooms = RoomReader {
         tables: &tables,
         bsp: &bsp,
@@ -102,14 +104,16 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
         indirect: args.indirect,
         most: budget
             .available()
-            .saturating_sub(fixed.all() + mesh)
+            .saturating_sub(fixed.all() + fixed.margin + mesh)
             .min(args.map_memory.unwrap_or(u64::MAX)),
+        parts: choice::most_parts(tables.lights()),
+        caustics: &caustics,
         threads: common.threads as u64,
     };
     let pictures = outputs(&cli.output, &args.formats, &views)?;
 
     if session::may_work(&store, StageKind::Render, cli.force) {
-        let most = hungriest(&tables, &reader, &rooms)?;
+        let most = hungriest(&tables, &reader, |room| rooms.least_bytes(room))?;
         refuse_if_hopeless(cli, &fixed, most, &budget)?;
     }
     let identity = identity(&store, cli, &views)?;
@@ -129,6 +133,16 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     stats.set("maps_loaded", shown.room_loads);
     stats.set("maps_in_part", shown.rooms_in_part);
     stats.set("light_outside_sets_share", shown.found.share());
+    stats.set("contributions_not_finite", shown.not_finite);
+    if shown.not_finite > 0 {
+        warn(
+            common,
+            format!(
+                "{} contributions of light were not finite, and are missing from the picture: please report this",
+                shown.not_finite
+            ),
+        );
+    }
     if shown.found.all > 0 {
         let percent = 100.0 * shown.found.share();
         say(
@@ -167,6 +181,12 @@ struct Fixed {
     smoothing: u64,
     /// Which tiles are neighbours.
     neighbours: u64,
+    /// The sky and its openings.
+    daylight: u64,
+    /// What is kept free for rays that are read back, as long as that is possible.
+    margin: u64,
+    /// What the writers of pictures take, when all else is done.
+    writers: u64,
 }
 
 impl Fixed {
@@ -183,19 +203,23 @@ impl Fixed {
             smoothing: if args.smooths() { smooth::bytes(pixels, widest) } else { 0 },
             neighbours: Neighbours::bytes(tables)
                 + Scheduler::memory_bytes(tables.tiles().len() as u32),
+            daylight: enf_trace::daylight_bytes(tables),
+            margin: (block * size_of::<TransitRecord>() * 2) as u64 + (1 << 20),
+            writers: film::writer_bytes(widest),
         }
     }
 
+    /// All that is needed at a time, without the margin.
     fn all(&self) -> u64 {
-        self.rays + self.band + self.smoothing + self.neighbours
+        self.rays + self.band + self.smoothing + self.neighbours + self.daylight
     }
 }
 
-/// The room that needs the most memory while it is shaded: its id, and the bytes of its largest tile and of its map.
+/// The room that needs the most memory while it is shaded: its id, and the bytes of its largest tile and of what it answers with.
 fn hungriest(
     tables: &Tables,
     reader: &TileReader<'_>,
-    rooms: &RoomReader<'_>,
+    bytes: impl Fn(u32) -> u64,
 ) -> Result<Option<(u32, u64, u64)>> {
     let mut most: Option<(u32, u64, u64)> = None;
     for (id, room) in tables.rooms().iter().enumerate() {
@@ -203,7 +227,7 @@ fn hungriest(
         for tile in room.first_tile..room.first_tile + room.tile_count {
             mesh = mesh.max(reader.peak_bytes(tile)?);
         }
-        let map = rooms.bytes(id as u32);
+        let map = bytes(id as u32);
         if most.is_none_or(|m| mesh + map > m.1 + m.2) {
             most = Some((id as u32, mesh, map));
         }
@@ -220,6 +244,19 @@ fn refuse_if_hopeless(
 ) -> Result<()> {
     let common = &cli.common;
     let mib = |bytes: u64| bytes.div_ceil(1 << 20);
+    if fixed.writers > budget.available() {
+        return Err(Failure::budget(format!(
+            "writing pictures needs {} MiB of {}: tables and program {}, rows and their encoded form {}",
+            mib(fixed.writers + budget.reserved()),
+            common.memory >> 20,
+            mib(budget.reserved()),
+            mib(fixed.writers),
+        ))
+        .with_hint(format!(
+            "--memory {}M would do, or a smaller --width",
+            mib(fixed.writers + budget.reserved())
+        )));
+    }
     let Some((room, mesh, map)) = most else { return Ok(()) };
     let film = fixed.band + fixed.smoothing;
     let needs = fixed.all() + mesh + map;
@@ -233,7 +270,7 @@ fn refuse_if_hopeless(
         mib(mesh),
         mib(map),
         mib(film),
-        mib(fixed.rays + fixed.neighbours),
+        mib(fixed.rays + fixed.neighbours + fixed.daylight),
         mib(budget.reserved())
     ))
     .with_hint({
@@ -293,6 +330,7 @@ fn outputs(output: &Path, formats: &[Format], views: &[View]) -> Result<Vec<Vec<
         return Ok(vec![vec![Output { path: output.to_path_buf(), format }]]);
     }
     std::fs::create_dir_all(output).at("create", output)?;
+    let mut names: Vec<String> = Vec::new();
     Ok(views
         .iter()
         .map(|view| {
@@ -301,6 +339,8 @@ fn outputs(output: &Path, formats: &[Format], views: &[View]) -> Result<Vec<Vec<
                 .chars()
                 .map(|c| if c.is_alphanumeric() || "-_. ".contains(c) { c } else { '-' })
                 .collect();
+            let name = camera::unused(&name, |name| names.iter().any(|n| n == name));
+            names.push(name.clone());
             let mut files: Vec<Output> = Vec::new();
             for &format in formats {
                 if !files.iter().any(|f| f.format == format) {
@@ -410,7 +450,8 @@ fn render(
         daylight: daylight.as_ref(),
     };
     // Films of several bands at most where the hungriest room still finds its place, and a quarter of what is free.
-    let (mesh, map) = hungriest(tables, &reader, &room_reader)?.map_or((0, 0), |m| (m.1, m.2));
+    let most = hungriest(tables, &reader, |room| room_reader.bytes(room))?;
+    let (mesh, map) = most.map_or((0, 0), |m| (m.1, m.2));
     let free = budget.available().saturating_sub(fixed.smoothing);
     let films = (free / 4).min(free.saturating_sub(mesh + map));
     let bands = (films / fixed.band.max(1)).clamp(1, BANDS) as u32;
@@ -419,7 +460,7 @@ fn render(
     let (tasks, take_task) = bounded::<Task>(at_once + 1);
     let (done, finished) = unbounded::<Result<Done>>();
     let timeline = &session.timeline;
-    let margin = (block * size_of::<TransitRecord>() * 2) as u64 + (1 << 20);
+    let margin = fixed.margin;
     let (tiles, load_tiles) = TileCache::new(reader, cli.queue.resident_rooms.0, margin, timeline);
     let (rooms, load_rooms) = Cache::new(room_reader, 0, margin, timeline);
     let rooms = rooms.beside(&tiles);

@@ -1,5 +1,7 @@
 //! What rooms answer with: photon maps and the lights that reach them, loaded like tiles, by loaders of their own.
 
+use std::collections::BTreeMap;
+
 use enf_illumination::{IrradianceCache, PhotonMap};
 use enf_layout::journal::LightPairRecord;
 use enf_layout::photon::PhotonRecord;
@@ -28,23 +30,39 @@ pub(crate) struct RoomReader<'a> {
     pub(crate) bsp: &'a Bsp<'a>,
     pub(crate) budget: &'a MemoryBudget,
     pub(crate) indirect: Indirect,
-    /// Bytes that a room's map may take, with the irradiance at its photons; a larger one is in memory in part.
+    /// Bytes that what a room answers with may take; a larger map is in memory in part.
     pub(crate) most: u64,
+    /// Parts of a light of the scene, at most.
+    pub(crate) parts: u64,
+    /// Caustic photons in the maps of rooms that have any.
+    pub(crate) caustics: &'a BTreeMap<u32, u64>,
     /// Threads that ask.
     pub(crate) threads: u64,
 }
 
 impl RoomReader<'_> {
-    /// Bytes of what a room answers with: its lights, as long as these have a part each; where a map is asked, that, as far as it
-    /// is in memory, and the irradiance that is kept at its photons.
+    /// Bytes of what a room answers with, at most: its lights; where a map is asked, that, as far as it is in memory, the irradiance that is
+    /// kept at its photons, and its caustic photons while they are sorted out.
     pub(crate) fn bytes(&self, room: u32) -> u64 {
-        let lights = self.trace.find(ExtentKind::LightSet, room).iter().map(|e| e.count);
-        let lights = lights.sum::<u64>() * choice::BYTES;
         if self.indirect == Indirect::None {
-            return lights;
+            return self.light_bytes(room);
         }
-        let (plan, cache) = self.plan(room);
-        lights + plan.bytes() + cache
+        let (plan, beside) = self.plan(room);
+        plan.bytes() + beside
+    }
+
+    /// As [`RoomReader::bytes`], of a map with as little of it in memory as will do.
+    pub(crate) fn least_bytes(&self, room: u32) -> u64 {
+        if self.indirect == Indirect::None {
+            return self.light_bytes(room);
+        }
+        let least = if self.tables.portals_of(room).is_empty() { u64::MAX } else { 0 };
+        Plan::of(self.maps.find(ExtentKind::Map, room), least, 1).bytes() + self.plan(room).1
+    }
+
+    fn light_bytes(&self, room: u32) -> u64 {
+        let lights = self.trace.find(ExtentKind::LightSet, room).iter().map(|e| e.count);
+        choice::most(lights.sum(), self.parts) * choice::BYTES
     }
 
     /// Whether a room's map is too large to be in memory as a whole.
@@ -52,16 +70,25 @@ impl RoomReader<'_> {
         self.indirect != Indirect::None && matches!(self.plan(room).0, Plan::Shares(..))
     }
 
-    /// How a room's map is kept, and the bytes of the irradiance at its photons.
+    /// How a room's map is kept, and the bytes of all else that the room answers with.
     fn plan(&self, room: u32) -> (Plan, u64) {
         let pieces = self.maps.find(ExtentKind::Map, room);
-        let cache = IrradianceCache::bytes(pieces.iter().map(|e| e.count as usize).sum());
+        let mut beside = self.light_bytes(room) + self.cache_bytes(room);
+        if self.indirect == Indirect::FinalGather {
+            beside += Caustics::bytes(self.caustics.get(&room).copied().unwrap_or(0));
+        }
         // In a room without openings an estimate reaches as far as it must, which may be through all of the map.
         let most = match self.tables.portals_of(room).is_empty() {
             true => u64::MAX,
-            false => self.most.saturating_sub(cache),
+            false => self.most.saturating_sub(beside),
         };
-        (Plan::of(pieces, most, self.threads), cache)
+        (Plan::of(pieces, most, self.threads), beside)
+    }
+
+    /// Bytes of the irradiance at a map's photons.
+    fn cache_bytes(&self, room: u32) -> u64 {
+        let pieces = self.maps.find(ExtentKind::Map, room);
+        IrradianceCache::bytes(pieces.iter().map(|e| e.count as usize).sum())
     }
 
     /// Lights that reach a room, ascending, and how much of the room each lights: a factor of its importance.
@@ -101,6 +128,7 @@ impl Load for RoomReader<'_> {
     }
 
     fn load(&self, room: u32) -> std::result::Result<RoomLight, StoreError> {
+        let mut held = self.budget.reserve(self.light_bytes(room), "lights of a room")?;
         let mut lights = self.lights(room)?;
         let sun = daylight::adapt(&mut lights, self.tables, room);
         let lights = choice::choices(&lights, self.tables);
@@ -111,14 +139,14 @@ impl Load for RoomReader<'_> {
             self.tables.pieces(),
             self.bsp,
         );
-        let held = lights.len() as u64 * choice::BYTES;
-        let held = Some(self.budget.reserve(held, "lights of a room")?);
+        held.resize(lights.len() as u64 * choice::BYTES)?;
+        let held = Some(held);
         if self.indirect == Indirect::None {
             return Ok(RoomLight { map: None, lights, sights, sun, _reservation: held });
         }
         let pieces = self.maps.find(ExtentKind::Map, room);
-        let (plan, bytes) = self.plan(room);
-        let reservation = self.budget.reserve(bytes, "irradiance at photons")?;
+        let (plan, _) = self.plan(room);
+        let reservation = self.budget.reserve(self.cache_bytes(room), "irradiance at photons")?;
         let gathers = self.indirect == Indirect::FinalGather;
         let (map, cache, caustics) = match plan {
             Plan::Whole(_) => {

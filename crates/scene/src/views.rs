@@ -116,6 +116,12 @@ impl Camera {
         let Some(ahead) = (wide(target) - wide(eye)).try_normalize() else {
             return fail("eye and target are one point", "move one of them");
         };
+        // A panorama has a level horizon: straight up or down it looks nowhere in particular, and begins where y points.
+        let straight = self.up.is_none() && ahead.z.abs() >= 0.999_999;
+        let (target, ahead) = match straight && self.projection == Projection::Panorama {
+            true => ([eye[0], eye[1] + 1.0, eye[2]], DVec3::Y),
+            false => (target, ahead),
+        };
         let up = match self.up {
             None if ahead.z.abs() < 0.999_999 => [0.0, 0.0, 1.0],
             // Straight up or down: the picture's top is where y points.

@@ -527,7 +527,8 @@ fn open_doors_are_left_out_and_still_reported() {
 #[test]
 fn views_in_a_scene_and_in_a_file_of_their_own() {
     let view = "[[view]]\nname = \"lobby\"\neye = [0, 1.6, 0]\ntarget = [0, 1.6, -5]\nfov = 50\n\
-                width = 960\nheight = 600\n[[view]]\neye = [0, 3, 0]\ntarget = [0, 0, 0]\n";
+                width = 960\nheight = 600\n[[view]]\neye = [0, 3, 0]\ntarget = [0, 0, 0]\n\
+                [[view]]\nkind = \"panorama\"\neye = [0, 3, 0]\ntarget = [0, 5, 0]\n";
     let toml = format!("up = \"y\"\nname = \"villa\"\n[[mesh]]\nfile = \"a.obj\"\n{view}");
     let f = Folder::new(&[
         ("a.obj", &format!("{SQUARE}f 1 2 3\n")),
@@ -551,6 +552,9 @@ fn views_in_a_scene_and_in_a_file_of_their_own() {
         (down.name.as_str(), down.record.up, down.record.width),
         ("view-2", [0., 1., 0.], 0)
     );
+    // A panorama's horizon is level, whatever it looks at.
+    let up = &scene.views[2].record;
+    assert_eq!((up.target, up.up), ([0., 1., 3.], [0., 0., 1.]));
     assert_eq!(load_views(&f.path("views.toml"), &scene.frame()).unwrap(), scene.views);
     let moved = Frame { origin: [0., 100., 0.], ..scene.frame() };
     assert_eq!(load_views(&f.path("views.toml"), &moved).unwrap()[0].record.eye, [0., -100., 1.6]);

@@ -447,6 +447,16 @@ impl Waits {
     }
 }
 
+/// The memory that [`daylight`] takes, bytes.
+pub fn daylight_bytes(tables: &Tables) -> u64 {
+    if tables.sky.is_none() {
+        return 0;
+    }
+    let (lights, emitters) = (tables.lights(), tables.emitters());
+    let openings = lights.iter().filter(|l| Daylight::is_daylight(l)).count();
+    Daylight::bytes(lights.len(), emitters.len(), openings)
+}
+
 /// The daylight of a scene that has a sky, and the memory that it takes.
 ///
 /// # Errors
@@ -457,9 +467,7 @@ pub fn daylight(
 ) -> Result<(Option<Daylight>, Option<Reservation>)> {
     let Some(sky) = &tables.sky else { return Ok((None, None)) };
     let (lights, emitters) = (tables.lights(), tables.emitters());
-    let openings = lights.iter().filter(|l| Daylight::is_daylight(l)).count();
-    let bytes = Daylight::bytes(lights.len(), emitters.len(), openings);
-    let reservation = budget.reserve(bytes, "the sky and its openings")?;
+    let reservation = budget.reserve(daylight_bytes(tables), "the sky and its openings")?;
     let scene = &tables.scene;
     let shell = Shell::new(scene.bounds_min, scene.bounds_max);
     let daylight = Daylight::new(sky, shell, scene.delta, lights, emitters);

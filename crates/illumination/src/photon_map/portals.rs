@@ -107,7 +107,7 @@ impl<'a> PortalSet<'a> {
     fn openings_about(&self, point: DVec3, radius: f64) -> impl Iterator<Item = Opening> {
         self.pieces()
             .filter(move |piece| Bounds::of(piece, radius).may_touch(point))
-            .filter_map(move |piece| Opening::new(piece))
+            .filter_map(Opening::new)
     }
 
     /// Whether `point` is within `radius` (m) of an opening: exact distance to the convex polygons.
