@@ -146,3 +146,30 @@ fn a_map_that_fits_in_part_is_not_refused() {
         assert!(std::fs::read(&picture).unwrap() == whole, "{indirect}: another picture");
     }
 }
+
+/// Pieces so small that an estimate reaches into more of them than a job has room for: that is said, with what may help, and nothing is written.
+#[test]
+fn where_too_many_pieces_meet_it_is_said() {
+    let dir = tempfile::tempdir().unwrap();
+    let store = dir.path().join("b.enf");
+    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "5k"]));
+    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "20"]));
+    let picture = dir.path().join("door.png");
+    let mut render = bin("enf-render");
+    render.arg(&store).args([
+        "--view",
+        "door",
+        "--width",
+        "24",
+        "--height",
+        "16",
+        "--samples",
+        "1",
+    ]);
+    render.args(["--gather-photons", "400", "--map-memory", "1K", "-o"]).arg(&picture);
+    let said = fails(&mut render, 3);
+    assert!(said.contains("many pieces") && said.contains("try --memory "), "{said}");
+    assert!(!picture.exists());
+}

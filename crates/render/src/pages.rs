@@ -61,6 +61,8 @@ pub(crate) struct Pages {
     outlines: Vec<Outline>,
     /// Bytes of a share.
     share: u64,
+    /// The budget of which all shares are a part.
+    budget: MemoryBudget,
     /// All shares together: already reserved, as a budget of its own.
     purse: MemoryBudget,
     _reservation: Reservation,
@@ -91,6 +93,7 @@ impl Pages {
             pieces: pieces.to_vec(),
             outlines,
             share,
+            budget: budget.clone(),
             purse,
             _reservation: reservation,
             shares: Mutex::new((0..shares).map(|_| Vec::new()).collect()),
@@ -204,14 +207,16 @@ impl Share<'_> {
 
     /// A share that does not hold what a single point needs.
     pub(crate) fn too_small(&self) -> BudgetError {
-        let largest = self.pages.pieces.iter().map(bytes_of).max().unwrap_or(0);
-        let share = self.pages.share;
+        let Pages { pieces, purse, budget, share, .. } = self.pages;
+        let largest = pieces.iter().map(bytes_of).max().unwrap_or(0);
+        // Each job is to have room for one piece more.
+        let shares = purse.limit() / (*share).max(1);
         BudgetError {
             what: "a point where many pieces of a photon map meet",
-            needed: share + largest,
-            available: share,
-            limit: share,
-            holders: Vec::new(),
+            needed: purse.limit() + shares * largest,
+            available: purse.limit(),
+            limit: budget.limit(),
+            holders: budget.holders(),
         }
     }
 

@@ -13,7 +13,10 @@ const PER_THREAD: u64 = 256 << 10;
 
 impl From<StoreError> for Failure {
     fn from(error: StoreError) -> Self {
-        Self::new(ExitStatus::from_code(error.exit_code()), error.to_string())
+        match error {
+            StoreError::Budget(error) => error.into(),
+            error => Self::new(ExitStatus::from_code(error.exit_code()), error.to_string()),
+        }
     }
 }
 
@@ -86,6 +89,7 @@ mod tests {
         let failure = Failure::from(StoreError::from(refused.clone()));
         assert_eq!(failure.code, ExitStatus::Budget);
         assert!(failure.message.contains("grid of a tile"));
+        assert!(failure.to_string().contains("try --memory "), "{failure}");
         assert_eq!(Failure::from(refused).code, ExitStatus::Budget);
     }
 
