@@ -88,14 +88,20 @@ prepared
 cp -r l.enf clean.enf
 store=killed.enf
 kills=0
+killed=("$bin/enf-trace" killed.enf --photons-per-light "$photons" --queue-block 1k --epoch 0.02 --quiet)
+# How long a whole one takes, in ms: a run is killed after 5 to 80 % of that.
+cp -r clean.enf killed.enf
+began=${EPOCHREALTIME//[.,]/}
+"${killed[@]}" </dev/null >/dev/null 2>&1
+whole=$(((${EPOCHREALTIME//[.,]/} - began) / 1000))
 for ((run = 1; run <= runs; run++)); do
     rm -rf killed.enf
     cp -r clean.enf killed.enf
     times=0
     while :; do
-        "$bin/enf-trace" killed.enf --photons-per-light "$photons" --queue-block 1k --epoch 0.05 --quiet </dev/null >/dev/null 2>&1 &
+        "${killed[@]}" </dev/null >/dev/null 2>&1 &
         process=$!
-        sleep "0.$((RANDOM % 90 + 10))"
+        sleep "$(printf '%d.%03d' $(((after = whole * (RANDOM % 75 + 5) / 100) / 1000)) $((after % 1000)))"
         kill -9 $process 2>/dev/null || true
         wait $process 2>/dev/null && break
         times=$((times + 1))
