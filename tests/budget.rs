@@ -310,4 +310,13 @@ fn a_picture_too_wide_to_be_written_is_refused_at_once() {
     assert!(!common::files_of(&store).iter().any(|f| f.starts_with("render.")), "nothing is begun");
     let memory = said.split("--memory ").nth(1).and_then(|rest| rest.split(' ').next());
     ok(&mut render(memory.unwrap()));
+
+    // Where a film of something else is finished, which would make way for it, as well.
+    let seal = || std::fs::read(store.join("render.seal")).unwrap();
+    let (before, door) = (seal(), dir.path().join("door.png"));
+    let mut other = bin("enf-render");
+    other.arg(&store).args(["--view", "hall", "--memory", "16M", "--quiet", "-o"]).arg(&door);
+    let said = fails(&mut other, 3);
+    assert!(said.contains("would do"), "{said}");
+    assert_eq!(seal(), before, "it is still there");
 }

@@ -112,11 +112,14 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     };
     let pictures = outputs(&cli.output, &args.formats, &views)?;
 
-    if session::may_work(&store, StageKind::Render, cli.force) {
+    let identity = identity(&store, cli, &views)?;
+    // A finished film of something else makes way for this one: what that needs is refused before.
+    let is_there =
+        || Ok::<_, StoreError>(store.identity(StageKind::Render)?.is_some_and(|i| i == identity));
+    if session::may_work(&store, StageKind::Render, cli.force) || !is_there()? {
         let most = hungriest(&tables, &reader, |room| rooms.least_bytes(room))?;
         refuse_if_hopeless(cli, &fixed, most, &budget)?;
     }
-    let identity = identity(&store, cli, &views)?;
     yield_to_another_picture(&store, &identity, &pictures, cli.force)?;
     let mut shown = Shown::default();
     match session::begin(&store, StageKind::Render, common.process, &identity, cli.force)? {
