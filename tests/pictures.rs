@@ -88,6 +88,34 @@ fn a_furnace_is_even_about_small_things() {
     assert!((found - 4.0).abs() < 0.08, "{found}");
 }
 
+/// Things so small that they have hardly a photon, in a room full of them, are as bright as all else where the photon map is seen directly.
+#[test]
+fn things_with_hardly_a_photon_are_not_dark() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = furnace(dir.path(), 0.5);
+    let mut model = Model::default();
+    model.object("rails");
+    model.material("white");
+    for i in 0..12 {
+        let [y, z] = [i % 4, i / 4].map(|c| 1.3 + 0.35 * f64::from(c));
+        model.turned([3.2, y, z], [0.9, 0.012, 0.012], 4.0 * f64::from(i));
+    }
+    model.write(&dir.path().join("rails.obj"), "newmtl white\nKd 1 1 1\n");
+    let text = std::fs::read_to_string(&scene).unwrap();
+    std::fs::write(&scene, text.replace("[[view]]", "[[mesh]]\nfile = \"rails.obj\"\n[[view]]"))
+        .unwrap();
+    let store = light(&scene, "8k", &[]);
+    let flags = ["--width", "160", "--height", "160", "--samples", "8", "--max-samples", "8"];
+    let picture = render(&store, dir.path(), "m", "in", &flags);
+    let [light, albedo] = ["G", "albedo.G"].map(|c| picture.channel(c).unwrap());
+    // Walls reflect half; what is seen whole is of a rail.
+    let rails: Vec<f64> =
+        (0..light.len()).filter(|&i| albedo[i] > 0.99).map(|i| f64::from(light[i])).collect();
+    assert!(rails.len() > 300, "{} pixels of rails", rails.len());
+    let found = rails.iter().sum::<f64>() / rails.len() as f64;
+    assert!((found - 4.0).abs() < 0.2, "{found} on {} pixels", rails.len());
+}
+
 /// Smoothing moves light between pixels and neither makes nor loses any: not in either room, nor of the pixels that see both, at
 /// the doorway between a bright one and a dark one. Both pictures are of the same rays. And it smooths: neighbours on an open wall,
 /// and along edges, differ by less.

@@ -207,7 +207,8 @@ impl RenderArgs {
     pub(crate) fn asking(&self) -> u32 {
         let gather = match self.indirect {
             Indirect::FinalGather => self.gather_rays.div_ceil(self.samples) + 1,
-            _ => 0,
+            Indirect::PhotonMap => 1,
+            Indirect::None => 0,
         };
         self.light_samples + 1 + gather
     }

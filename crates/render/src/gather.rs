@@ -16,7 +16,12 @@
 //! ([`enf_illumination::Irradiance::vague`]). Such a point sends a gather ray of its own instead, by roulette, and so on (Jensen 2001,
 //! section 10.2.3). So there is no bias but the map's, of what is as large as a disc and seen from afar.
 //!
+//! Pictures that see the photon map directly send gather rays off from what is too small for it, by the same rule
+//! ([`Shader::look_about`]).
+//!
 //! Gather rays are parked at portals like all others: which rooms are in memory, and when, does not matter.
+
+use std::ops::Range;
 
 use enf_layout::transit::{TRANSIT_GATHER, TransitRecord};
 use enf_transport::flight::Surface;
@@ -41,9 +46,6 @@ impl Shader<'_> {
     ) {
         self.add_caustics(record, surface, throughput * lobes.diffuse, scratch);
         let context = self.context;
-        let (_, local) = context.pixel(record.light);
-        // One sequence over all samples of the pixel, scrambled per pixel and bounce.
-        let scramble = rng::block(context.seed, Purpose::Gather, local, 0, record.bounce, 0);
         // The pixel's rays are shared out among its first samples. What is seen in a mirror gets one of each.
         let (rays, weight) = if record.bounce > 0 {
             (record.photon..record.photon + 1, 1.0)
@@ -60,6 +62,42 @@ impl Shader<'_> {
             film.add_gather_rays(pixel, rays.end - rays.start);
         }
         let flux = throughput * lobes.diffuse * weight;
+        self.gather_all(record, rays, surface, flux, lobes, scratch, products);
+    }
+
+    /// Indirect light at a point that a camera ray has met and of which the photon map knows too little: a gather ray for each of the pixel's
+    /// first samples, and of what is seen in a mirror. Its caustics, which are of fewer photons than say anything, are left out.
+    pub(crate) fn look_about(
+        &self,
+        record: &TransitRecord,
+        surface: &Surface,
+        throughput: Vec3,
+        lobes: &Lobes,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        // What further samples see is in the mean of the first ones.
+        if record.bounce > 0 || record.photon < self.context.samples {
+            let (flux, own) = (throughput * lobes.diffuse, record.photon..record.photon + 1);
+            self.gather_all(record, own, surface, flux, lobes, scratch, products);
+        }
+    }
+
+    /// Sends off the gather rays of these numbers, of one sequence over all samples of the pixel, scrambled per pixel and bounce.
+    #[expect(clippy::too_many_arguments)]
+    fn gather_all(
+        &self,
+        record: &TransitRecord,
+        rays: Range<u32>,
+        surface: &Surface,
+        flux: Vec3,
+        lobes: &Lobes,
+        scratch: &mut Scratch,
+        products: &mut Products,
+    ) {
+        let context = self.context;
+        let (_, local) = context.pixel(record.light);
+        let scramble = rng::block(context.seed, Purpose::Gather, local, 0, record.bounce, 0);
         for index in rays {
             let [x, y] = sobol(index);
             let u = [rng::unit(x ^ scramble[0]), rng::unit(y ^ scramble[1])];

@@ -257,7 +257,7 @@ fn refuse_if_hopeless(
         ))
         .with_hint(format!(
             "--memory {}M would do, or a smaller --width",
-            mib(fixed.writers + budget.reserved())
+            mib(fixed.writers + budget.reserved()) + 4
         )));
     }
     let Some((room, mesh, map)) = most else { return Ok(()) };

@@ -42,6 +42,9 @@ use crate::sight::Sights;
 /// Share of shadow rays that go to lights outside the room's set, so that no light has probability zero.
 const GLOBAL_SHARE: f32 = 0.02;
 
+/// Where so many photons lie within reach of a point, on whatever surface, there is light.
+const SOME_PHOTONS: u32 = 10;
+
 /// Nothing is nearer than this, m, when the mean distance to what is around is asked for.
 const NEAREST_M: f32 = 1e-3;
 
@@ -526,10 +529,33 @@ impl<'a> Shader<'a> {
         if !gather && self.context.indirect != Indirect::PhotonMap {
             return None;
         }
-        let (point, normal, asked) = (surface.position, surface.normal, &self.context.gather);
         // What is found on the way is kept in the cache: the estimate that follows is quick.
-        cache.estimate(map, point, normal, asked, &self.portals, &mut scratch.gather);
+        if gather {
+            let (point, normal, asked) = (surface.position, surface.normal, &self.context.gather);
+            cache.estimate(map, point, normal, asked, &self.portals, &mut scratch.gather);
+        } else {
+            self.map_at(map, cache, surface, scratch);
+        }
         scratch.gather.missing()
+    }
+
+    /// Irradiance at a point, W/m², by the photon map; nothing where that cannot know, on a thing so small that it has hardly a photon although
+    /// some lie about.
+    fn map_at(
+        &self,
+        map: &PhotonMap<'_>,
+        cache: &IrradianceCache,
+        surface: &Surface,
+        scratch: &mut Scratch,
+    ) -> Option<[f32; 3]> {
+        let (point, normal, asked) = (surface.position, surface.normal, &self.context.gather);
+        let scratch = &mut scratch.gather;
+        let found = cache.estimate(map, point, normal, asked, &self.portals, scratch);
+        let small = found.few && {
+            let reach = asked.radius.min(map.radius());
+            map.nearest(point, SOME_PHOTONS, reach, scratch).len() >= SOME_PHOTONS as usize
+        };
+        (!small).then_some(found.rgb)
     }
 
     /// The film that a ray's light is for, and the pixel there.
@@ -930,15 +956,10 @@ impl<'a> Shader<'a> {
             && let Some((map, cache)) = &self.map
         {
             products.gathers += 1;
-            let gathered = cache.estimate(
-                map,
-                surface.position,
-                surface.normal,
-                &self.context.gather,
-                &self.portals,
-                &mut scratch.gather,
-            );
-            self.add_indirect(record, reflected * Vec3::from(gathered.rgb));
+            match self.map_at(map, cache, surface, scratch) {
+                Some(found) => self.add_indirect(record, reflected * Vec3::from(found)),
+                None => self.look_about(record, surface, throughput, lobes, scratch, products),
+            }
         }
         self.direct(record, surface, throughput, lobes, scratch, products);
     }

@@ -25,8 +25,8 @@ const NORMAL_COSINE: f32 = 0.95;
 const SLAB_SLOPE: f32 = 0.1;
 const SLAB_FLOOR_M: f32 = 0.004;
 
-/// One place's irradiance; the high word of `blue` is its radius, with the sign set when it is there, and the lowest bit
-/// where it is vague.
+/// One place's irradiance; the high word of `blue` is its radius, with the sign set when it is there, and the lowest bits
+/// where it is vague and of few photons.
 #[derive(Default)]
 struct Value {
     red: AtomicU32,
@@ -36,6 +36,7 @@ struct Value {
 
 const THERE: u64 = 1 << 63;
 const VAGUE: u64 = 1 << 32;
+const FEW: u64 = 1 << 33;
 
 /// Where a place is. Places whose normals have the same largest axis make a kd-tree of their own: a query
 /// never looks at the table's legs to find the table's top.
@@ -127,7 +128,7 @@ impl IrradianceCache {
 
     /// Irradiance at `point` (m) with unit `normal`, W/m²: the mean of the nearest places, or, where none is near, a
     /// gather of its own; with the mean radius of the discs that it comes from: what is nearer than that is
-    /// blurred. It is vague if one of them is. `photons` counts those of a gather of its own, else 0. `gather`, `portals` and the map must be the same at every
+    /// blurred. It is vague, or of few, if one of them is. `photons` counts those of a gather of its own, else 0. `gather`, `portals` and the map must be the same at every
     /// call.
     pub fn estimate(
         &self,
@@ -155,7 +156,7 @@ impl IrradianceCache {
             return map.irradiance(point, normal, gather, portals, scratch);
         }
         let (mut sum, mut radius, mut total) = (Vec3::ZERO, 0.0f32, 0.0f32);
-        let mut vague = false;
+        let (mut vague, mut few) = (false, false);
         for place in &near[..found] {
             let weight = 1.0 - place.d2 / farthest;
             if weight > 0.0 {
@@ -163,10 +164,11 @@ impl IrradianceCache {
                 sum += Vec3::from(at.rgb) * weight;
                 radius += at.radius * weight;
                 vague |= at.vague;
+                few |= at.few;
                 total += weight;
             }
         }
-        Irradiance { rgb: (sum / total).to_array(), photons: 0, radius: radius / total, vague }
+        Irradiance { rgb: (sum / total).to_array(), photons: 0, radius: radius / total, vague, few }
     }
 
     /// Irradiance at a place.
@@ -192,8 +194,9 @@ impl IrradianceCache {
             let [red, green, low] = found.rgb.map(f32::to_bits);
             value.red.store(red, Ordering::Relaxed);
             value.green.store(green, Ordering::Relaxed);
-            let radius = u64::from(found.radius.to_bits()) << 32 & !VAGUE;
-            blue = THERE | radius | if found.vague { VAGUE } else { 0 } | u64::from(low);
+            let radius = u64::from(found.radius.to_bits()) << 32 & !(VAGUE | FEW);
+            let marks = if found.vague { VAGUE } else { 0 } | if found.few { FEW } else { 0 };
+            blue = THERE | radius | marks | u64::from(low);
             value.blue.store(blue, Ordering::Release);
         }
         let (red, green) = (&value.red, &value.green);
@@ -204,8 +207,9 @@ impl IrradianceCache {
                 f32::from_bits(blue as u32),
             ],
             photons: 0,
-            radius: f32::from_bits(((blue & !THERE & !VAGUE) >> 32) as u32),
+            radius: f32::from_bits(((blue & !(THERE | VAGUE | FEW)) >> 32) as u32),
             vague: blue & VAGUE != 0,
+            few: blue & FEW != 0,
         }
     }
 }

@@ -73,6 +73,8 @@ pub struct Irradiance {
     /// Whether the disc says little about the point: it has hardly a photon, or is mostly not there, or its photons crowd in
     /// the middle or about it. So it is on things that are smaller than the disc, on bars and slats, and where light ends.
     pub vague: bool,
+    /// Whether it is vague and how large the thing is cannot be told either: too few photons lie on it. Never where there are caustics.
+    pub few: bool,
 }
 
 /// Working memory of one thread that gathers; use it again and again.
@@ -364,7 +366,7 @@ fn estimate(
 ) -> Irradiance {
     let (found, distances) = (notes.photons(), notes.distances2());
     if found.is_empty() {
-        return Irradiance { vague: true, ..Irradiance::default() };
+        return Irradiance { vague: true, few: true, ..Irradiance::default() };
     }
     let smallest = SMALLEST_DISC_M.min(SMALLEST_DISC_RADII * largest_radius);
     let (mut radius, mut skipped) = (largest_radius, 0);
@@ -379,10 +381,11 @@ fn estimate(
     // Photons in one spot have no edges.
     let enough = if radius > smallest { found.len() } else { 0 };
     let mut lit = Lit::new(enough, normal, r2);
-    let mut exponent = 0;
+    let (mut exponent, mut caustics) = (0, false);
     for (&number, &d2) in found.iter().zip(distances) {
         let (block, i) = map.place(number);
         exponent = exponent.max(block.flux[i][3]);
+        caustics |= block.direction_flags[i] & CAUSTIC != 0;
         if lit.sectors > 0 && block.direction_flags[i] & CAUSTIC == 0 {
             lit.add(Vec3::from(block.position_bits.map(|a| f32::from_bits(a[i]))) - point, d2);
         }
@@ -408,6 +411,7 @@ fn estimate(
         }
         small = thing.measure(radius);
     }
+    let few = vague && small.is_none() && !caustics;
     let mut sum = [0u128; 3];
     let mut weights = 0u64;
     let mut add = |which: usize| {
@@ -461,6 +465,7 @@ fn estimate(
         photons: notes.photons().len() as u32,
         radius,
         vague,
+        few,
     }
 }
 

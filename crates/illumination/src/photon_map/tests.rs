@@ -582,7 +582,7 @@ fn one_photon_by_hand() {
         let gather = Gather { photons: 50, radius, kernel };
         ask(&blob, Vec3::ZERO, Vec3::Z, &gather, &PortalSet::none())
     };
-    let nothing = Irradiance { vague: true, ..Irradiance::default() };
+    let nothing = Irradiance { vague: true, few: true, ..Irradiance::default() };
     assert_eq!(e(0.2, Kernel::Constant), nothing);
     let near = |a: [f32; 3], b: f32| {
         assert!((a[0] / b - 1.0).abs() < 1e-6, "{a:?} {b}");
