@@ -293,11 +293,7 @@ fn memory_that_is_no_size_is_a_usage_error() {
 #[test]
 fn a_picture_too_wide_to_be_written_is_refused_at_once() {
     let dir = tempfile::tempdir().unwrap();
-    let store = dir.path().join("b.enf");
-    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "1k"]));
-    ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
+    let store = common::light(&furnished(dir.path()), "1k", &[], &[]);
     let render = |memory: &str| {
         let mut command = bin("enf-render");
         command.arg(&store).args(["--view", "door", "--width", "24000", "--height", "1"]);

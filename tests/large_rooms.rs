@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{bin, copy_store, digest, fails, furnished, json, number, ok};
+use common::{bin, copy_store, digest, fails, furnished, json, light, number, ok};
 use enf_layout::segment::{ExtentKind, StageKind};
 use enf_store::{StageReader, StoreDir};
 use std::path::{Path, PathBuf};
@@ -55,12 +55,7 @@ fn a_map_in_pieces_is_the_same_for_any_budget_and_threads() {
 #[test]
 fn maps_in_part_answer_as_whole_ones_do() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = furnished(dir.path());
-    let store = dir.path().join("b.enf");
-    ok(bin("enf-partition").arg(&scene).arg("-o").arg(&store).arg("--quiet"));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "30k"]));
-    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "2000"]));
+    let store = light(&furnished(dir.path()), "30k", &[], &["--piece-photons", "2000"]);
     let reader = StageReader::open(&StoreDir::open(&store).unwrap(), StageKind::Kdtree).unwrap();
     let pieces = |room| reader.find(ExtentKind::Map, room).len();
     let most = (0..3).map(pieces).max().unwrap();
@@ -120,11 +115,7 @@ fn a_map_that_does_not_fit_is_refused_with_what_would_do() {
 #[test]
 fn a_map_that_fits_in_part_is_not_refused() {
     let dir = tempfile::tempdir().unwrap();
-    let store = dir.path().join("b.enf");
-    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "400k"]));
-    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "20000"]));
+    let store = light(&furnished(dir.path()), "400k", &[], &["--piece-photons", "20000"]);
     for indirect in ["photon-map", "final-gather"] {
         let (stats, picture) = (dir.path().join("stats.json"), dir.path().join("door.exr"));
         let render = |memory: &str| {
@@ -151,11 +142,7 @@ fn a_map_that_fits_in_part_is_not_refused() {
 #[test]
 fn where_too_many_pieces_meet_it_is_said() {
     let dir = tempfile::tempdir().unwrap();
-    let store = dir.path().join("b.enf");
-    ok(bin("enf-partition").arg(furnished(dir.path())).arg("-o").arg(&store).arg("--quiet"));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", "5k"]));
-    ok(bin("enf-kdtree").arg(&store).args(["--quiet", "--piece-photons", "20"]));
+    let store = light(&furnished(dir.path()), "5k", &[], &["--piece-photons", "20"]);
     let picture = dir.path().join("door.png");
     let mut render = bin("enf-render");
     render.arg(&store).args([

@@ -28,13 +28,17 @@ fn render(store: &Path, dir: &Path, name: &str, view: &str, flags: &[&str]) -> L
 
 /// Everything but the pictures.
 fn light(scene: &Path, photons: &str, partition: &[&str]) -> PathBuf {
-    let store = scene.with_extension("enf");
-    let _ = std::fs::remove_dir_all(&store);
-    ok(bin("enf-partition").arg(scene).arg("-o").arg(&store).arg("--quiet").args(partition));
-    ok(bin("enf-grid").arg(&store).arg("--quiet"));
-    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", photons]));
-    ok(bin("enf-kdtree").arg(&store).arg("--quiet"));
-    store
+    common::light(scene, photons, partition, &[])
+}
+
+/// [`furnace`], whose walls reflect half, with white things in it.
+fn furnace_with(dir: &Path, things: &Model) -> PathBuf {
+    let scene = furnace(dir, 0.5);
+    things.write(&dir.join("things.obj"), "newmtl white\nKd 1 1 1\n");
+    let text = std::fs::read_to_string(&scene).unwrap();
+    std::fs::write(&scene, text.replace("[[view]]", "[[mesh]]\nfile = \"things.obj\"\n[[view]]"))
+        .unwrap();
+    scene
 }
 
 fn mean(picture: &Loaded, channel: &str) -> f64 {
@@ -67,7 +71,6 @@ fn a_furnace_is_even() {
 #[test]
 fn a_furnace_is_even_about_small_things() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = furnace(dir.path(), 0.5);
     let mut model = Model::default();
     model.object("things");
     model.material("white");
@@ -76,10 +79,7 @@ fn a_furnace_is_even_about_small_things() {
         let centre = [2.7 + x, 1.5 + y, 1.5 + z];
         model.turned(centre, [0.06, 0.05, 0.06], 20.0 + 13.0 * f64::from(i));
     }
-    model.write(&dir.path().join("things.obj"), "newmtl white\nKd 1 1 1\n");
-    let text = std::fs::read_to_string(&scene).unwrap();
-    std::fs::write(&scene, text.replace("[[view]]", "[[mesh]]\nfile = \"things.obj\"\n[[view]]"))
-        .unwrap();
+    let scene = furnace_with(dir.path(), &model);
     let store = light(&scene, "200k", &[]);
     let flags = ["--width", "40", "--height", "40", "--samples", "8", "--max-samples", "8"];
     let gather = [&GATHER[..], &flags[..], &["--gather-rays", "16"]].concat();
@@ -92,7 +92,6 @@ fn a_furnace_is_even_about_small_things() {
 #[test]
 fn things_with_hardly_a_photon_are_not_dark() {
     let dir = tempfile::tempdir().unwrap();
-    let scene = furnace(dir.path(), 0.5);
     let mut model = Model::default();
     model.object("rails");
     model.material("white");
@@ -100,10 +99,7 @@ fn things_with_hardly_a_photon_are_not_dark() {
         let [y, z] = [i % 4, i / 4].map(|c| 1.3 + 0.35 * f64::from(c));
         model.turned([3.2, y, z], [0.9, 0.012, 0.012], 4.0 * f64::from(i));
     }
-    model.write(&dir.path().join("rails.obj"), "newmtl white\nKd 1 1 1\n");
-    let text = std::fs::read_to_string(&scene).unwrap();
-    std::fs::write(&scene, text.replace("[[view]]", "[[mesh]]\nfile = \"rails.obj\"\n[[view]]"))
-        .unwrap();
+    let scene = furnace_with(dir.path(), &model);
     let store = light(&scene, "8k", &[]);
     let flags = ["--width", "160", "--height", "160", "--samples", "8", "--max-samples", "8"];
     let picture = render(&store, dir.path(), "m", "in", &flags);

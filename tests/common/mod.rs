@@ -228,6 +228,17 @@ pub fn furnace(dir: &Path, reflectance: f32) -> PathBuf {
     scene
 }
 
+/// Everything but the pictures: the store of a scene, made anew, with flags for the partitioner and for the maps.
+pub fn light(scene: &Path, photons: &str, partition: &[&str], maps: &[&str]) -> PathBuf {
+    let store = scene.with_extension("enf");
+    let _ = std::fs::remove_dir_all(&store);
+    ok(bin("enf-partition").arg(scene).arg("-o").arg(&store).arg("--quiet").args(partition));
+    ok(bin("enf-grid").arg(&store).arg("--quiet"));
+    ok(bin("enf-trace").arg(&store).args(["--quiet", "--photons-per-light", photons]));
+    ok(bin("enf-kdtree").arg(&store).arg("--quiet").args(maps));
+    store
+}
+
 /// [`two_rooms`] with a third room, more furniture (about 1200 triangles) and, in `rooms.toml`, two views; returns
 /// that scene file.
 pub fn furnished(dir: &Path) -> PathBuf {

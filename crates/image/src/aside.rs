@@ -44,6 +44,11 @@ fn clear_away(folder: &Path, prefix: &OsStr) {
     }
 }
 
+/// The folder that a file is in.
+fn folder_of(file: &Path) -> &Path {
+    file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 fn is_old(file: &fs::Metadata) -> bool {
     file.modified().is_ok_and(|at| at.elapsed().is_ok_and(|age| age > FRESH))
 }
@@ -69,8 +74,7 @@ impl Aside {
                 let mut hidden = OsString::from(".");
                 hidden.push(name);
                 hidden.push(".");
-                let folder = target.parent().filter(|p| !p.as_os_str().is_empty());
-                clear_away(folder.unwrap_or(Path::new(".")), &hidden);
+                clear_away(folder_of(&target), &hidden);
                 hidden.push(format!("{}{PARTIAL}", std::process::id()));
                 Some(target.with_file_name(hidden))
             }
@@ -79,10 +83,10 @@ impl Aside {
             Some(partial) => File::create(partial),
             None => File::options().write(true).open(&target),
         };
-        let file = file.inspect(|file| {
+        if let (Ok(file), Some(_)) = (&file, &partial) {
             // Says that this one is alive. Where files cannot be locked, nothing is ever cleared away.
             let _ = file.try_lock();
-        });
+        }
         let writer = Some(BufWriter::with_capacity(1 << 16, file.map_err(fail)?));
         Ok(Self { path: path.to_owned(), partial, target, writer })
     }
@@ -101,8 +105,7 @@ impl Aside {
         fs::rename(partial, &self.target)?;
         self.partial = None;
         // The rename itself is made durable where folders can be synced.
-        let folder = self.target.parent().filter(|p| !p.as_os_str().is_empty());
-        if let Ok(folder) = File::open(folder.unwrap_or(Path::new("."))) {
+        if let Ok(folder) = File::open(folder_of(&self.target)) {
             let _ = folder.sync_all();
         }
         Ok(())

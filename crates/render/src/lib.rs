@@ -114,9 +114,9 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
 
     let identity = identity(&store, cli, &views)?;
     // A finished film of something else makes way for this one: what that needs is refused before.
-    let is_there =
-        || Ok::<_, StoreError>(store.identity(StageKind::Render)?.is_some_and(|i| i == identity));
-    if session::may_work(&store, StageKind::Render, cli.force) || !is_there()? {
+    if session::may_work(&store, StageKind::Render, cli.force)
+        || store.identity(StageKind::Render)?.as_ref() != Some(&identity)
+    {
         let most = hungriest(&tables, &reader, |room| rooms.least_bytes(room))?;
         refuse_if_hopeless(cli, &fixed, most, &budget)?;
     }
@@ -125,7 +125,7 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     match session::begin(&store, StageKind::Render, common.process, &identity, cli.force)? {
         Begin::Finished => say(common, "nothing to do, the film is developed already"),
         Begin::Work(writer) => {
-            shown = render(cli, &mut session, reader, rooms, &views, *writer)?;
+            shown = render(cli, &mut session, reader, rooms, &views, &fixed, *writer)?;
         }
     }
     film::develop(&store, &budget, &views, &pictures, args)?;
@@ -174,8 +174,11 @@ pub fn run(cli: &Cli, ids: IdSource, out: &IdSink) -> Result<Option<Value>> {
     Ok(Some(stats))
 }
 
-/// What a picture needs beside the rooms, bytes.
+/// What a picture needs beside the rooms; all but the table's shape in bytes.
 struct Fixed {
+    /// Rows of the table of incoming rays, and rays in a row.
+    rows: usize,
+    block: usize,
     /// Table of incoming rays, and those in flight.
     rays: u64,
     /// One band's film.
@@ -200,6 +203,8 @@ impl Fixed {
         let widest = views.iter().map(|v| v.camera.width).max().unwrap_or(0);
         let pixels = pixels.min(BAND_PIXELS);
         Self {
+            rows,
+            block,
             rays: RowTable::<TransitRecord>::memory_bytes(rows, block)
                 + bytes_in_flight(common, args, block),
             band: bands::bytes(pixels),
@@ -416,13 +421,13 @@ fn render(
     reader: TileReader<'_>,
     room_reader: RoomReader<'_>,
     views: &[View],
+    fixed: &Fixed,
     writer: StageWriter,
 ) -> Result<Shown> {
     let (common, args) = (&cli.common, &cli.render);
     let budget = session.budget.clone();
     let tables = room_reader.tables;
-    let fixed = Fixed::new(cli, tables, views);
-    let (rows, block) = queue_shape(&cli.queue, common, size_of::<TransitRecord>());
+    let &Fixed { rows, block, .. } = fixed;
     let _rays = budget.reserve(fixed.rays, "rays in transit and in flight")?;
     let _neighbours = budget.reserve(fixed.neighbours, "neighbours of tiles")?;
 
